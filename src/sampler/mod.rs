@@ -1,0 +1,181 @@
+//! Where shadow rays go: directions drawn towards the dome for a point.
+//!
+//! A sampler is prepared once for a dome, then once a point ([`DomeSampler::draw`] draws all the point's directions
+//! together), never once a ray through a dynamic call. All densities are with respect to solid angle, steradians⁻¹, and
+//! are what was actually drawn: an approximation may cost variance, never bias. Radiance is that of the texel that was
+//! drawn, carried by its index.
+//!
+//! The one way back: what the rays of a pass saw ([`DomeSampler::observe`]) reaches the draws of later stages, after
+//! [`DomeSampler::next_stage`]. Within a stage the sampler is frozen, so a draw never depends on its own rays.
+
+use crate::bsdf::Bsdf;
+use crate::dome::Dome;
+use crate::error::Result;
+use crate::random;
+use crate::registry::{Params, Plugin};
+use glam::Vec3;
+use std::fmt::Debug;
+use std::sync::Arc;
+
+/// A point that asks for light.
+#[derive(Debug, Clone, Copy)]
+pub struct Point {
+    /// The pixel it is seen through, in the full image.
+    pub pixel: [u32; 2],
+    /// Distance from the camera, metres.
+    pub distance: f32,
+    /// Unit geometric normal on the viewer's side.
+    pub ng: Vec3,
+    /// Unit shading normal on the viewer's side.
+    pub ns: Vec3,
+    /// Unit direction to the viewer.
+    pub wo: Vec3,
+    /// How it reflects.
+    pub bsdf: Bsdf,
+    /// Which numbers it is given.
+    pub numbers: Numbers,
+}
+
+/// The numbers of one camera sample: a function of (seed, pixel, sample), stratified over the samples of a pixel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Numbers {
+    /// A hash of the image's seed, the pixel and what the numbers are for.
+    pub seed: u32,
+    /// The camera sample's index in its sequence.
+    pub sample: u32,
+}
+
+impl Numbers {
+    /// The `i`-th of `n` points in the unit square, as 32-bit fractions: an Owen-scrambled Sobol' sequence running on
+    /// through the samples of the pixel.
+    #[inline]
+    pub fn square(&self, i: u32, n: u32) -> [u32; 2] {
+        random::sobol2(self.sample.wrapping_mul(n).wrapping_add(i), self.seed)
+    }
+
+    /// The `i`-th of `n` stratified numbers in [i/n, (i + 1)/n) as a 32-bit fraction of the stratum: over the samples of
+    /// a pixel each stratum is filled by a scrambled van der Corput sequence of its own.
+    #[inline]
+    pub fn within_stratum(&self, i: u32) -> u32 {
+        let seed = random::combine(self.seed, i);
+        let index = random::owen(self.sample, random::mix(seed ^ 0x68e3_1da4));
+        random::owen(index.reverse_bits(), seed)
+    }
+
+    /// A random word for the `i`-th draw and a purpose of its own.
+    #[inline]
+    pub fn word(&self, i: u32, purpose: u32) -> u32 {
+        random::hash(&[self.seed, self.sample, i, purpose])
+    }
+}
+
+/// The directions drawn for one point. Owned by the caller and used again and again: no allocation a point.
+#[derive(Debug, Default)]
+pub struct Draws {
+    /// Unit directions towards the dome.
+    pub dir: Vec<Vec3>,
+    /// Radiance of the texel drawn.
+    pub radiance: Vec<Vec3>,
+    /// Density of each direction, steradians⁻¹.
+    pub pdf: Vec<f32>,
+    /// Control variate b·h of each direction, W·m⁻²·sr⁻¹ a channel; empty when the sampler has none.
+    pub control: Vec<Vec3>,
+    /// The control variate's exact integral over the sphere, W·m⁻² a channel.
+    pub integral: Vec3,
+    /// What [`DomeSampler::observe`] counts each ray towards; empty when nothing is learned.
+    pub target: Vec<u32>,
+    /// Scratch of the sampler's own: what it prepared for this point.
+    pub prepared: Prepared,
+}
+
+/// What a sampler keeps of a point between [`DomeSampler::draw`] and [`DomeSampler::pdf`].
+#[derive(Debug, Default)]
+pub struct Prepared {
+    /// Cumulative integer widths.
+    pub cdf: Vec<u32>,
+    /// Floating-point scratch.
+    pub values: Vec<f32>,
+    /// Index scratch.
+    pub indices: Vec<u32>,
+}
+
+impl Draws {
+    /// Empties all lists, keeping their memory.
+    pub fn clear(&mut self) {
+        self.dir.clear();
+        self.radiance.clear();
+        self.pdf.clear();
+        self.control.clear();
+        self.target.clear();
+        self.integral = Vec3::ZERO;
+    }
+}
+
+/// What a sampler has to say after a render.
+#[derive(Debug, Clone, Default, serde::Serialize)]
+pub struct SamplerStats {
+    /// Seconds the preparation took.
+    pub prepare_s: f64,
+    /// Triangles of the tessellation, 0 without one.
+    pub triangles: u64,
+    /// Groups of triangles, 0 without a tessellation.
+    pub groups: u64,
+    /// Bytes held beside the dome.
+    pub bytes: u64,
+    /// The shadow cache, where there is one.
+    pub cache: Option<CacheStats>,
+}
+
+/// What the shadow cache did.
+#[derive(Debug, Clone, Copy, Default, serde::Serialize)]
+pub struct CacheStats {
+    /// Records held.
+    pub records: u64,
+    /// Bytes held.
+    pub bytes: u64,
+    /// Share of the points that found a record.
+    pub hit_rate: f64,
+    /// Share of the rays that were not traced because the cache said they would tell nothing.
+    pub rays_saved: f64,
+}
+
+/// Draws directions towards the dome. See the module for the contract.
+pub trait DomeSampler: Debug + Send + Sync {
+    /// Draws at most `n` directions for `point` into `out` (cleared first). Fewer is allowed where fewer suffice, at
+    /// least one; directions below the horizon may be among them and carry their density like any other.
+    fn draw(&self, point: &Point, n: u32, out: &mut Draws);
+
+    /// The density with which [`Self::draw`] drew `dir`, which lies in `texel`, for the point that `drawn` holds.
+    fn pdf(&self, point: &Point, drawn: &Draws, dir: Vec3, texel: u32) -> f32;
+
+    /// Whether later stages profit from what earlier ones saw.
+    fn learns(&self) -> bool {
+        false
+    }
+
+    /// Counts what rays saw: `targets` from [`Draws::target`], `occluded` 1 or 0.
+    fn observe(&self, _targets: &[u32], _occluded: &[u8]) {}
+
+    /// Ends a stage: what was observed so far is what draws go by from now on.
+    fn next_stage(&mut self) {}
+
+    /// What there is to report.
+    fn stats(&self) -> SamplerStats;
+}
+
+/// What a sampler is prepared for beside the dome.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Setup {
+    /// Width and height of the full image.
+    pub size: [u32; 2],
+    /// Whether any material has a specular lobe.
+    pub gloss: bool,
+    /// Directions asked for a point.
+    pub rays: u32,
+}
+
+/// Prepares a sampler for a dome.
+pub type MakeSampler = fn(&Arc<Dome>, &Params, &Setup) -> Result<Box<dyn DomeSampler>>;
+
+/// All dome samplers; the first is the default.
+pub const SAMPLERS: &[Plugin<MakeSampler>] = &[];
