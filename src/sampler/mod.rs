@@ -8,6 +8,12 @@
 //! The one way back: what the rays of a pass saw ([`DomeSampler::observe`]) reaches the draws of later stages, after
 //! [`DomeSampler::next_stage`]. Within a stage the sampler is frozen, so a draw never depends on its own rays.
 
+pub mod cells;
+pub mod preconvolution;
+pub mod shadow_cache;
+pub mod tessellated;
+pub mod tessellation;
+
 use crate::bsdf::Bsdf;
 use crate::dome::Dome;
 use crate::error::Result;
@@ -86,17 +92,28 @@ pub struct Draws {
     pub target: Vec<u32>,
     /// Scratch of the sampler's own: what it prepared for this point.
     pub prepared: Prepared,
+    /// Look-ups in the shadow cache since the last [`DomeSampler::tally`].
+    pub lookups: u64,
+    /// Look-ups that found a record.
+    pub found: u64,
 }
 
-/// What a sampler keeps of a point between [`DomeSampler::draw`] and [`DomeSampler::pdf`].
+/// What a sampler keeps of a point between [`DomeSampler::draw`] and [`DomeSampler::pdf`], and of a normal from point to
+/// point.
 #[derive(Debug, Default)]
 pub struct Prepared {
-    /// Cumulative integer widths.
-    pub cdf: Vec<u32>,
-    /// Floating-point scratch.
-    pub values: Vec<f32>,
-    /// Index scratch.
-    pub indices: Vec<u32>,
+    /// The normal that the rows below were made for.
+    pub normal: Vec3,
+    /// Each group's irradiance, about.
+    pub importance: Vec<f32>,
+    /// Each group's irradiance a channel, where it is exact.
+    pub exact: [Vec<f32>; 3],
+    /// Where `exact` holds: 0 nowhere, 1 in the whole group, 2 in its leaves above the horizon.
+    pub status: Vec<u8>,
+    /// `importance` times what the cache makes of it.
+    pub weighted: Vec<f32>,
+    /// Where each group's counts begin; one more for the sum.
+    pub begins: Vec<u32>,
 }
 
 impl Draws {
@@ -153,8 +170,21 @@ pub trait DomeSampler: Debug + Send + Sync {
         false
     }
 
+    /// Whether its density is 0 where light comes from, so that directions drawn from the surface must cover that.
+    fn needs_partner(&self) -> bool {
+        false
+    }
+
+    /// Tiles must be a multiple of this many pixels wide and high, because what is learned is kept in such blocks.
+    fn tile_multiple(&self) -> u32 {
+        1
+    }
+
     /// Counts what rays saw: `targets` from [`Draws::target`], `occluded` 1 or 0.
     fn observe(&self, _targets: &[u32], _occluded: &[u8]) {}
+
+    /// Takes over what `draws` counted for the statistics.
+    fn tally(&self, _draws: &mut Draws) {}
 
     /// Ends a stage: what was observed so far is what draws go by from now on.
     fn next_stage(&mut self) {}
@@ -178,4 +208,4 @@ pub struct Setup {
 pub type MakeSampler = fn(&Arc<Dome>, &Params, &Setup) -> Result<Box<dyn DomeSampler>>;
 
 /// All dome samplers; the first is the default.
-pub const SAMPLERS: &[Plugin<MakeSampler>] = &[];
+pub const SAMPLERS: &[Plugin<MakeSampler>] = &[tessellated::PLUGIN];
