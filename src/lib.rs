@@ -4,6 +4,7 @@ pub mod accel;
 pub mod bsdf;
 pub mod dome;
 pub mod error;
+pub mod hash;
 pub mod output;
 pub mod random;
 pub mod registry;
