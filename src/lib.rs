@@ -5,6 +5,7 @@ pub mod bsdf;
 pub mod dome;
 pub mod error;
 pub mod film;
+pub mod hash;
 pub mod integrator;
 pub mod output;
 pub mod random;

@@ -1,7 +1,12 @@
 //! The dome: radiance arriving from every direction, a lat-long image whose texels are constant ("nearest"), so that
 //! radiance and sampling density are functions on the same cells.
 
+pub mod load;
 pub mod project;
+pub mod stats;
+
+pub use load::load;
+pub use stats::DomeStats;
 
 use glam::Vec3;
 use project::Grid;

@@ -1,8 +1,15 @@
 //! Where pictures go. A [`Frame`] is what a render made, whole; an output plugin writes it to a file in one go: to a
 //! temporary name beside the target, renamed when all of it is on disk.
 
-use crate::error::Result;
-use crate::registry::{Params, Plugin};
+pub mod exr;
+pub mod file;
+pub(crate) mod planes;
+pub mod png;
+pub mod read;
+pub mod tonemap;
+
+use crate::error::{Error, Result};
+use crate::registry::{self, Params, Plugin};
 use std::fmt::Debug;
 use std::path::Path;
 
@@ -44,4 +51,20 @@ pub trait Output: Debug + Send + Sync {
 pub type MakeOutput = fn(&Params) -> Result<Box<dyn Output>>;
 
 /// All outputs, by file extension.
-pub const OUTPUTS: &[Plugin<MakeOutput>] = &[];
+pub const OUTPUTS: &[Plugin<MakeOutput>] = &[exr::PLUGIN, png::PLUGIN];
+
+pub use file::{check_writable, write_atomically};
+pub use read::read;
+
+/// The output that writes `path`, by its extension, with `options` (`key=value,…`, may be empty).
+pub fn for_path(path: &Path, options: &str) -> Result<Box<dyn Output>> {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    if !OUTPUTS.iter().any(|p| p.name == extension) {
+        let known: Vec<_> = OUTPUTS.iter().map(|p| format!(".{}", p.name)).collect();
+        let what = if extension.is_empty() { "no extension".to_owned() } else { format!("extension .{extension}") };
+        let message = format!("{}: {what}; images are written as {}", path.display(), known.join(" or "));
+        return Err(Error::Option(message));
+    }
+    let (plugin, params) = registry::resolve("output", OUTPUTS, &format!("{extension}:{options}"))?;
+    (plugin.make)(&params)
+}
