@@ -17,7 +17,7 @@ use domelight::output::{self, Frame, Layer, Output};
 use domelight::registry::{Params, resolve};
 use domelight::render::{Picture, Render, Watch};
 use domelight::sampler::{SAMPLERS, Setup};
-use domelight::scene::{self, camera::View};
+use domelight::scene::{self, View};
 use progress::Progress;
 use report::{Report, Times};
 use std::path::Path;
@@ -41,7 +41,7 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     let mut times = Times::default();
 
     let clock = Instant::now();
-    let scene = Arc::new(scene::load::load(&args.scene_file, &args.load_options())?);
+    let scene = Arc::new(scene::load(&args.scene_file, &args.load_options())?);
     times.load_s = clock.elapsed().as_secs_f64();
     args.say_warnings(&scene);
 
@@ -96,7 +96,7 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
         output.write(path, &frame)?;
     }
     if let Some(path) = &args.stats {
-        output::file::write_atomically(path, |file| {
+        output::write_atomically(path, |file| {
             serde_json::to_writer_pretty(&mut *file, &report.json()).map_err(std::io::Error::from)?;
             std::io::Write::write_all(file, b"\n")
         })?;
@@ -112,12 +112,14 @@ fn outputs(args: &Args) -> Result<Vec<(&Path, Box<dyn Output>)>> {
     }
     let mut outputs: Vec<(&Path, Box<dyn Output>)> = Vec::new();
     for path in &args.output {
-        let options = format!("tonemap={},exposure={}", args.tonemap, args.exposure);
+        // Only pictures for screens are tone-mapped.
+        let png = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
+        let options = if png { format!("tonemap={},exposure={}", args.tonemap, args.exposure) } else { String::new() };
         outputs.push((path, output::for_path(path, &options)?));
-        output::file::check_writable(path)?;
+        output::check_writable(path)?;
     }
     if let Some(path) = &args.stats {
-        output::file::check_writable(path)?;
+        output::check_writable(path)?;
     }
     Ok(outputs)
 }

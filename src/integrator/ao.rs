@@ -6,7 +6,7 @@ use crate::bsdf::ggx::Frame;
 use crate::random;
 use crate::registry::Plugin;
 use crate::sampler::Draws;
-use crate::scene::surface::offset_origin;
+use crate::scene::offset_origin;
 use glam::Vec3;
 
 /// The plugin.

@@ -13,7 +13,7 @@ use crate::integrator::ao::cosine_direction;
 use crate::random;
 use crate::registry::Plugin;
 use crate::sampler::{Draws, Numbers, Point};
-use crate::scene::surface::offset_origin;
+use crate::scene::offset_origin;
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 

@@ -40,9 +40,7 @@ fn faces(scene: &Scene, ray: &Ray, hit: &Hit) -> bool {
     if scene.materials[scene.meshes[mesh as usize].material as usize].double_sided {
         return true;
     }
-    let [a, b, c] = scene.triangle(hit.instance, hit.triangle);
-    let flipped = scene.instances[hit.instance as usize].flipped;
-    ((b - a).cross(c - a).dot(ray.dir) < 0.0) != flipped
+    scene.is_front(ray.dir, hit)
 }
 
 /// The same ray from just behind a hit.

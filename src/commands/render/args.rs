@@ -9,9 +9,8 @@ use domelight::dome::Dome;
 use domelight::error::Error;
 use domelight::film::{Aov, Filter};
 use domelight::render::{Background, Settings};
-use domelight::scene::Scene;
-use domelight::scene::camera::{CameraChoice, DEFAULT_FOV};
-use domelight::scene::load::{LoadOptions, SceneChoice};
+use domelight::scene::camera::DEFAULT_FOV;
+use domelight::scene::{CameraChoice, LoadOptions, Scene, SceneChoice};
 use glam::Vec3;
 use std::io::IsTerminal;
 use std::path::PathBuf;
@@ -132,8 +131,8 @@ impl Args {
         if self.time.is_some_and(|t| !(t > 0.0 && t.is_finite())) {
             bail!(Error::Option("--time wants a number of seconds above 0".to_owned()));
         }
-        if !self.exposure.is_finite() || self.exposure.abs() > 64.0 {
-            bail!(Error::Option("--exposure wants stops from -64 to 64".to_owned()));
+        if !self.exposure.is_finite() || self.exposure.abs() > 32.0 {
+            bail!(Error::Option("--exposure wants stops from -32 to 32".to_owned()));
         }
         if !(self.dome_scale > 0.0 && self.dome_scale.is_finite()) {
             bail!(Error::Option("--dome-scale wants a number above 0".to_owned()));
@@ -170,7 +169,7 @@ impl Args {
     }
 
     pub(super) fn load_options(&self) -> LoadOptions {
-        LoadOptions { scene: self.scene.as_deref().map(SceneChoice::from) }
+        LoadOptions { scene: self.scene.as_deref().map(|name| SceneChoice::Name(name.to_owned())) }
     }
 
     pub(super) fn camera(&self) -> Result<CameraChoice> {
