@@ -23,6 +23,9 @@ pub struct DomeCells {
     height: u32,
     columns: Vec<Column>,
     rows: Vec<Row>,
+    /// What a draw reads of a column and of a row: small, to stay close.
+    draw_columns: Vec<[f32; 2]>,
+    draw_rows: Vec<DrawRow>,
     /// Half a cell's azimuth.
     half_azimuth: f32,
 }
@@ -34,11 +37,21 @@ struct Column {
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Row {
+struct DrawRow {
     /// 1 − |y| at the cell's top and its change to the bottom.
     t: f32,
     dt: f32,
     sign: f32,
+    solid_angle: f32,
+}
+
+/// A cell by its row (high half) and column (low half).
+#[derive(Debug, Clone, Copy)]
+pub struct Place(u32);
+
+#[derive(Debug, Clone, Copy)]
+struct Row {
+    draw: DrawRow,
     solid_angle: f64,
     center: [f64; 2],
     /// Mean of (ring radius, y) over the cell, times what averaging over the azimuth leaves of the ring.
@@ -56,7 +69,7 @@ impl DomeCells {
                 let (sin, cos) = dome.grid.azimuth((f64::from(i) + 0.5) / f64::from(parts)).sin_cos();
                 Column { cos, sin }
             })
-            .collect();
+            .collect::<Vec<_>>();
         let step = PI / f64::from(height);
         let rows = (0..height)
             .map(|i| {
@@ -70,17 +83,24 @@ impl DomeCells {
                 // ∫ sin²θ dθ / ∫ sin θ dθ and ∫ sin θ cos θ dθ / ∫ sin θ dθ, sums and differences as products.
                 let ring = 0.5 * (step - (2.0 * middle).cos() * step.sin()) / height;
                 let up = 0.5 * (2.0 * middle).sin() * step.sin() / height;
+                let solid_angle = 2.0 * half_azimuth * height;
                 Row {
-                    t: from_pole(top) as f32,
-                    dt: (from_pole(bottom) - from_pole(top)) as f32,
-                    sign: if upper { 1.0 } else { -1.0 },
-                    solid_angle: 2.0 * half_azimuth * height,
+                    draw: DrawRow {
+                        t: from_pole(top) as f32,
+                        dt: (from_pole(bottom) - from_pole(top)) as f32,
+                        sign: if upper { 1.0 } else { -1.0 },
+                        solid_angle: solid_angle as f32,
+                    },
+                    solid_angle,
                     center: [middle.sin(), middle.cos()],
                     mean: [ring * half_azimuth.sin() / half_azimuth, up],
                 }
             })
-            .collect();
-        Self { dome, parts, width, height, columns, rows, half_azimuth: half_azimuth as f32 }
+            .collect::<Vec<_>>();
+        let draw_columns = columns.iter().map(|c| [c.cos as f32, c.sin as f32]).collect();
+        let draw_rows = rows.iter().map(|row| row.draw).collect();
+        let half_azimuth = half_azimuth as f32;
+        Self { dome, parts, width, height, columns, rows, draw_columns, draw_rows, half_azimuth }
     }
 
     /// The dome.
@@ -89,13 +109,13 @@ impl DomeCells {
     }
 
     /// Column and row of a cell.
-    #[inline]
+    #[inline(always)]
     fn place(&self, cell: u32) -> (u32, u32) {
         (cell % self.width, cell / self.width)
     }
 
     /// The texel a cell belongs to.
-    #[inline]
+    #[inline(always)]
     pub fn texel(&self, cell: u32) -> u32 {
         if self.parts == 1 {
             return cell;
@@ -119,13 +139,13 @@ impl DomeCells {
     }
 
     /// Radiance of a cell.
-    #[inline]
+    #[inline(always)]
     pub fn radiance(&self, cell: u32) -> Vec3 {
         Vec3::from(self.dome.texels[self.texel(cell) as usize])
     }
 
     /// Solid angle of a cell, steradians.
-    #[inline]
+    #[inline(always)]
     pub fn solid_angle(&self, cell: u32) -> f64 {
         self.rows[(cell / self.width) as usize].solid_angle
     }
@@ -142,19 +162,23 @@ impl DomeCells {
         0.5 * (PI / f64::from(self.height)).hypot(2.0 * PI / f64::from(self.width))
     }
 
-    /// The direction at (x, y) ∈ [0, 1)² of a cell, uniform in solid angle, and the cell's solid angle.
-    #[inline]
-    pub fn direction(&self, cell: u32, x: f32, y: f32) -> (Vec3, f32) {
+    /// Row and column of a cell, for [`Self::direction`].
+    pub fn locate(&self, cell: u32) -> Place {
         let (column, row) = self.place(cell);
-        let (column, row) = (self.columns[column as usize], &self.rows[row as usize]);
+        Place(row << 16 | column)
+    }
+
+    /// The direction at (x, y) ∈ [0, 1)² of a cell, uniform in solid angle, and the cell's solid angle.
+    #[inline(always)]
+    pub fn direction(&self, Place(place): Place, x: f32, y: f32) -> (Vec3, f32) {
+        let ([c, s], row) = (self.draw_columns[(place & 0xffff) as usize], self.draw_rows[(place >> 16) as usize]);
         let t = row.t + y * row.dt;
         let ring = (t * (2.0 - t)).max(0.0).sqrt();
         // A small turn from the column's middle: the series' next terms are below 1e-10 for 512 columns and more.
         let d = (2.0 * x - 1.0) * self.half_azimuth;
         let (sin, cos) = (d - d * d * d * (1.0 / 6.0), 1.0 - 0.5 * d * d);
-        let (c, s) = (column.cos as f32, column.sin as f32);
         let dir = Vec3::new(ring * (c * cos - s * sin), row.sign * (1.0 - t), ring * (s * cos + c * sin));
-        (dir, row.solid_angle as f32)
+        (dir, row.solid_angle)
     }
 }
 
@@ -163,14 +187,14 @@ impl Cells for DomeCells {
         self.width as usize * self.height as usize
     }
 
-    #[inline]
+    #[inline(always)]
     fn center(&self, cell: u32) -> DVec3 {
         let (column, row) = self.place(cell);
         let (column, [ring, up]) = (self.columns[column as usize], self.rows[row as usize].center);
         DVec3::new(ring * column.cos, up, ring * column.sin)
     }
 
-    #[inline]
+    #[inline(always)]
     fn energy(&self, cell: u32) -> f64 {
         let texel = self.dome.texels[self.texel(cell) as usize];
         f64::from(Dome::weight(texel)) * self.solid_angle(cell)
@@ -193,7 +217,7 @@ mod tests {
             let c = cells(w, h, 33.0);
             for cell in (0..c.len() as u32).step_by(1 + c.len() / 2000) {
                 for (x, y) in [(0.5, 0.5), (0.01, 0.01), (0.99, 0.99), (0.01, 0.99)] {
-                    let (dir, _) = c.direction(cell, x, y);
+                    let (dir, _) = c.direction(c.locate(cell), x, y);
                     assert!((dir.length() - 1.0).abs() < 1e-6, "{w}×{h} cell {cell}: {}", dir.length());
                     assert_eq!(c.cell(dir, c.texel(cell)), cell, "{w}×{h}");
                     assert_eq!(c.dome().grid.texel(dir), c.texel(cell), "{w}×{h}");
@@ -211,7 +235,7 @@ mod tests {
             let mut sum = DVec3::ZERO;
             for i in 0..64 {
                 for j in 0..64 {
-                    sum += c.direction(cell, (i as f32 + 0.5) / 64.0, (j as f32 + 0.5) / 64.0).0.as_dvec3();
+                    sum += c.direction(c.locate(cell), (i as f32 + 0.5) / 64.0, (j as f32 + 0.5) / 64.0).0.as_dvec3();
                 }
             }
             assert!((sum / 4096.0 - c.mean_direction(cell)).length() < 1e-6, "cell {cell}");

@@ -61,7 +61,7 @@ impl Numbers {
 
     /// The `i`-th of `n` stratified numbers in [i/n, (i + 1)/n) as a 32-bit fraction of the stratum: over the samples of
     /// a pixel each stratum is filled by a scrambled van der Corput sequence of its own.
-    #[inline]
+    #[inline(always)]
     pub fn within_stratum(&self, i: u32) -> u32 {
         let seed = random::combine(self.seed, i);
         let index = random::owen(self.sample, random::mix(seed ^ 0x68e3_1da4));
@@ -69,7 +69,7 @@ impl Numbers {
     }
 
     /// A random word for the `i`-th draw and a purpose of its own.
-    #[inline]
+    #[inline(always)]
     pub fn word(&self, i: u32, purpose: u32) -> u32 {
         random::hash(&[self.seed, self.sample, i, purpose])
     }
@@ -102,18 +102,10 @@ pub struct Draws {
 /// point.
 #[derive(Debug, Default)]
 pub struct Prepared {
-    /// The normal that the rows below were made for.
-    pub normal: Vec3,
-    /// Each group's irradiance, about.
-    pub importance: Vec<f32>,
-    /// Each group's irradiance a channel, where it is exact.
-    pub exact: [Vec<f32>; 3],
-    /// Where `exact` holds: 0 nowhere, 1 in the whole group, 2 in its leaves above the horizon.
-    pub status: Vec<u8>,
-    /// `importance` times what the cache makes of it.
-    pub weighted: Vec<f32>,
-    /// Where each group's counts begin; one more for the sum.
-    pub begins: Vec<u32>,
+    /// The tessellated sampler's weights of groups.
+    pub weights: tessellated::Weights,
+    /// The tessellated sampler's numbers on their way down the hierarchy.
+    pub block: tessellated::Block,
 }
 
 impl Draws {

@@ -18,6 +18,7 @@ use super::cells::DomeCells;
 use super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Moments of a set of triangles as structure of arrays.
 #[derive(Debug, Default)]
@@ -53,7 +54,7 @@ impl Moments {
     }
 
     /// Irradiance a channel of triangle `i`, exact where it lies above the horizon of `n`.
-    #[inline]
+    #[inline(always)]
     pub fn irradiance(&self, i: usize, n: Vec3) -> Vec3 {
         let channel = |c: usize| n.x * self.rgb[3 * c][i] + n.y * self.rgb[3 * c + 1][i] + n.z * self.rgb[3 * c + 2][i];
         Vec3::new(channel(0), channel(1), channel(2))
@@ -63,10 +64,12 @@ impl Moments {
 /// The scalar irradiance estimate e(d) of the module's head.
 #[inline(always)]
 pub fn soft(d: f32, s: f32) -> f32 {
-    let above = d + s;
+    // Plain comparisons are what vector units have; f32::max would see to NaN as well.
+    let max = |a: f32, b: f32| if a > b { a } else { b };
+    let above = max(d + s, 0.0);
     // x = above/s; s = 0 only for an empty triangle, where d = 0 too.
-    let inside = (above * above * (0.25 / s.max(f32::MIN_POSITIVE))).max(0.125 * above);
-    if d >= s { d } else { inside.max(0.0) * f32::from(u8::from(above > 0.0)) }
+    let inside = max(above * above * (0.25 / max(s, f32::MIN_POSITIVE)), 0.125 * above);
+    if d >= s { d } else { inside }
 }
 
 /// One triangle's sums while it is made.
@@ -106,15 +109,33 @@ fn radius(cells: &DomeCells, axis: DVec3, members: &[u32]) -> f64 {
     2.0 * (0.5 * chord).min(1.0).asin() + cells.half_diagonal()
 }
 
+/// Lanes that groups are dealt to.
+pub const GROUP_LANES: usize = 16;
+
+/// Lanes that a group's leaves are dealt to.
+pub const LEAF_LANES: usize = 8;
+
 /// The preconvolved tessellation.
+///
+/// Groups and leaves stand in *lanes*: the curve is cut into as many equal pieces as there are lanes, and the i-th of
+/// every piece stand side by side. Sums along the curve are then sums down the lanes, for all lanes at once, and one
+/// short sum across them.
 #[derive(Debug, Default)]
 pub struct Preconvolution {
-    /// Groups, padded to a multiple of 16 with empty ones.
+    /// Groups in [`GROUP_LANES`] lanes, padded with empty ones.
     pub groups: Moments,
-    /// Leaves: group g's at g·[`LEAVES_A_GROUP`], padded with empty ones.
+    /// Leaves: those of the group in slot g at g·[`LEAVES_A_GROUP`], in [`LEAF_LANES`] lanes, padded with empty ones.
     pub leaves: Moments,
+    /// The cells of each leaf as a range of the tessellation's; empty for padding.
+    pub cells: Vec<Range<usize>>,
     /// How many groups there are, padding not counted.
     pub group_count: usize,
+}
+
+/// Where the `i`-th of `count` stands when they are dealt to `lanes` lanes.
+fn slot(i: usize, count: usize, lanes: usize) -> usize {
+    let rows = count / lanes;
+    i % rows * lanes + i / rows
 }
 
 impl Preconvolution {
@@ -123,13 +144,20 @@ impl Preconvolution {
         let leaves: Vec<Triangle> =
             tessellation.leaves.par_iter().map(|r| Triangle::new(cells, &tessellation.cells[r.clone()])).collect();
         let group_count = tessellation.groups.len();
-        let padded = group_count.next_multiple_of(16);
-        let mut result =
-            Self { groups: Moments::with_len(padded), leaves: Moments::with_len(padded * LEAVES_A_GROUP), group_count };
+        let padded = group_count.next_multiple_of(GROUP_LANES);
+        let mut result = Self {
+            groups: Moments::with_len(padded),
+            leaves: Moments::with_len(padded * LEAVES_A_GROUP),
+            cells: vec![0..0; padded * LEAVES_A_GROUP],
+            group_count,
+        };
         for (g, range) in tessellation.groups.iter().enumerate() {
+            let g = slot(g, padded, GROUP_LANES);
             let mut whole = Triangle { weight: DVec3::ZERO, rgb: [DVec3::ZERO; 3], radius: 0.0 };
             for (i, leaf) in range.clone().enumerate() {
-                result.leaves.set(g * LEAVES_A_GROUP + i, &leaves[leaf]);
+                let at = g * LEAVES_A_GROUP + slot(i, LEAVES_A_GROUP, LEAF_LANES);
+                result.leaves.set(at, &leaves[leaf]);
+                result.cells[at] = tessellation.leaves[leaf].clone();
                 whole.weight += leaves[leaf].weight;
                 for (sum, f) in whole.rgb.iter_mut().zip(leaves[leaf].rgb) {
                     *sum += f;

@@ -9,6 +9,7 @@
 //! Counts are integers and a block is only ever written by the tile that owns it, in the order of its pixels: the cache
 //! is the same for any number of threads.
 
+use super::preconvolution::GROUP_LANES;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU16, AtomicU32, AtomicU64, Ordering::Relaxed};
@@ -21,9 +22,6 @@ const MOST: u16 = 128;
 
 /// The weight of the prior, in rays.
 const PRIOR: f32 = 2.0;
-
-/// Groups that share a prior: neighbours on the curve.
-const NEIGHBOURS: usize = 16;
 
 /// The target of a ray that nothing is learned from.
 pub const NO_TARGET: u32 = u32::MAX;
@@ -54,10 +52,10 @@ pub struct Record<'a> {
 }
 
 impl ShadowCache {
-    /// A cache for an image of `size` pixels and `groups` groups (a multiple of [`NEIGHBOURS`]) within `budget` bytes.
+    /// A cache for an image of `size` pixels and `groups` groups (in [`GROUP_LANES`] lanes) within `budget` bytes.
     /// The block's side follows from the budget; at least `least` pixels.
     pub fn new(size: [u32; 2], groups: usize, budget: u64, least: u32) -> Self {
-        debug_assert!(groups.is_multiple_of(NEIGHBOURS));
+        debug_assert!(groups.is_multiple_of(GROUP_LANES));
         let bytes_a_block = (SLOTS * (groups * 3 + 8)) as u64;
         let mut block = least.max(1);
         let blocks_of = |block: u32| size.map(|side| side.div_ceil(block).max(1));
@@ -162,13 +160,17 @@ impl ShadowCache {
                 (f32::from(value & 0xff), f32::from(value >> 8))
             };
             let posterior = |(seen, rays): (f32, f32), prior: f32| (seen + PRIOR * prior) / (rays + PRIOR);
-            let sum = |range: std::ops::Range<usize>| range.map(read).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
-            let whole = posterior(sum(0..groups), 0.5);
-            for first in (0..groups).step_by(NEIGHBOURS) {
-                let near = posterior(sum(first..first + NEIGHBOURS), whole);
-                for g in first..first + NEIGHBOURS {
-                    m[g] = (posterior(read(g), near) * 255.0 + 0.5) as u8;
-                }
+            // A lane is a piece of the curve: neighbours on the dome share what is known of them.
+            let mut lanes = [(0.0, 0.0); GROUP_LANES];
+            for g in 0..groups {
+                let (seen, rays) = read(g);
+                let lane = &mut lanes[g % GROUP_LANES];
+                *lane = (lane.0 + seen, lane.1 + rays);
+            }
+            let whole = posterior(lanes.iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1)), 0.5);
+            let near = lanes.map(|lane| posterior(lane, whole));
+            for (g, m) in m.iter_mut().enumerate() {
+                *m = (posterior(read(g), near[g % GROUP_LANES]) * 255.0 + 0.5) as u8;
             }
         });
     }

@@ -10,19 +10,28 @@
 //! Control variate: where the cache expects visibility b, `b·L·(n·ω)` has the exact integral `b·n·F`; what is left to
 //! sample is the error of the expectation.
 
-use super::cells::DomeCells;
-use super::preconvolution::{Preconvolution, soft};
+mod draw;
+mod weights;
+
+pub use draw::Block;
+pub use weights::Weights;
+
+use super::cells::{DomeCells, Place};
+use super::preconvolution::Preconvolution;
 use super::shadow_cache::{NO_TARGET, ShadowCache};
 use super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
-use super::{CacheStats, DomeSampler, Draws, MakeSampler, Point, Prepared, SamplerStats, Setup};
+use super::{CacheStats, DomeSampler, Draws, MakeSampler, Point, SamplerStats, Setup};
 use crate::dome::Dome;
 use crate::error::Result;
 use crate::random;
 use crate::registry::{Kind, Opt, Params, Plugin};
+use crate::simd::dispatch;
+use draw::{BLOCK, Descend, LeafCounts, NO_LEAF};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::sync::Arc;
 use std::time::Instant;
+use weights::{BELOW, CROSSING, HIGH, Weigh};
 
 /// The plugin.
 pub const PLUGIN: Plugin<MakeSampler> = Plugin {
@@ -43,17 +52,8 @@ pub const PLUGIN: Plugin<MakeSampler> = Plugin {
     make: |dome, params, setup| Ok(Box::new(Tessellated::new(dome, params, setup)?)),
 };
 
-/// Total of a group's leaf counts, about.
-const LEAF_COUNTS: f32 = 1_048_576.0;
-
-/// Total of the group counts, about.
-const GROUP_COUNTS: f32 = 1_073_741_824.0;
-
 /// Total of a leaf's texel counts, about.
 const CELL_COUNTS: f64 = 2_147_483_648.0;
-
-/// The least a group's importance is scaled down to, where the cache is sure of its visibility.
-const FLOOR: f32 = 0.03;
 
 /// The sampler, prepared for one dome.
 #[derive(Debug)]
@@ -61,17 +61,26 @@ pub struct Tessellated {
     cells: DomeCells,
     triangles: Preconvolution,
     /// Cells leaf by leaf.
-    order: Vec<u32>,
+    order: Vec<Lit>,
     /// Where each cell's share of its leaf's counts begins; parallel to `order`.
     begins: Vec<u32>,
     /// Each leaf slot's cells as a range of `order`, and the sum of its counts.
     leaves: Vec<Leaf>,
+    /// Leaf counts by energy alone, for groups high above the horizon under a control variate.
+    high: Vec<LeafCounts>,
     /// For `pdf`: where in `order` a cell stands, and its leaf slot; empty without gloss.
     places: Vec<(u32, u32)>,
     cache: Option<ShadowCache>,
     /// Whether a stage has ended, so that the cache has something to say.
     warm: bool,
     prepare_s: f64,
+}
+
+/// A cell and its radiance, together: what a sample needs comes with one line of memory.
+#[derive(Debug, Clone, Copy)]
+struct Lit {
+    place: Place,
+    radiance: [f32; 3],
 }
 
 #[derive(Debug, Clone, Copy, Default)]
@@ -90,183 +99,96 @@ impl Tessellated {
         let tessellation = Tessellation::new(&cells, groups, triangles);
         let preconvolved = Preconvolution::new(&cells, &tessellation);
 
-        let mut leaves = vec![Leaf::default(); preconvolved.leaves.x.len()];
-        for (g, range) in tessellation.groups.iter().enumerate() {
-            for (i, leaf) in range.clone().enumerate() {
-                let members = &tessellation.leaves[leaf];
-                leaves[g * LEAVES_A_GROUP + i] =
-                    Leaf { begin: members.start as u32, end: members.end as u32, counts: 0 };
-            }
-        }
-        let order = tessellation.cells;
-        let mut begins = vec![0; order.len()];
-        cell_counts(&cells, &order, &mut leaves, &mut begins);
+        let leaf =
+            |members: &std::ops::Range<usize>| Leaf { begin: members.start as u32, end: members.end as u32, counts: 0 };
+        let mut leaves: Vec<Leaf> = preconvolved.cells.iter().map(leaf).collect();
+        let mut begins = vec![0; tessellation.cells.len()];
+        cell_counts(&cells, &tessellation.cells, &mut leaves, &mut begins);
+        let lit = |&cell: &u32| Lit { place: cells.locate(cell), radiance: cells.radiance(cell).to_array() };
+        let order: Vec<Lit> = tessellation.cells.par_iter().map(lit).collect();
 
         let mut places = Vec::new();
         if setup.gloss {
             places = vec![(u32::MAX, 0); cells.len()];
             for (slot, leaf) in leaves.iter().enumerate() {
                 for at in leaf.begin..leaf.end {
-                    places[order[at as usize] as usize] = (at, slot as u32);
+                    places[tessellation.cells[at as usize] as usize] = (at, slot as u32);
                 }
             }
         }
+        let slots = 0..preconvolved.groups.x.len();
+        let high = slots.map(|g| LeafCounts::of_energy(&preconvolved.leaves, g)).collect();
         let budget = params.integer("cache-mb").expect("the option has a default") << 20;
         let least = params.integer("cache-block").expect("the option has a default") as u32;
         let cache =
             params.switch("cache").then(|| ShadowCache::new(setup.size, preconvolved.groups.x.len(), budget, least));
         let prepare_s = start.elapsed().as_secs_f64();
-        Ok(Self { cells, triangles: preconvolved, order, begins, leaves, places, cache, warm: false, prepare_s })
+        Ok(Self { cells, triangles: preconvolved, order, begins, leaves, high, places, cache, warm: false, prepare_s })
     }
 
-    /// What depends on the normal alone: each group's importance and the exact part of its irradiance a channel.
-    fn sweep(&self, n: Vec3, p: &mut Prepared) {
-        let groups = &self.triangles.groups;
-        let count = groups.x.len();
-        p.importance.resize(count, 0.0);
-        p.status.resize(count, 0);
-        for row in &mut p.exact {
-            row.resize(count, 0.0);
+    /// The record a point reads, and the target its rays are counted towards.
+    fn consult(&self, point: &Point, out: &mut Draws) -> (Option<&[u8]>, u32) {
+        let Some(cache) = &self.cache else { return (None, NO_TARGET) };
+        let target = cache.admit(point.pixel, ShadowCache::key(point.ng, point.distance, 0.0));
+        if !self.warm {
+            return (None, target);
         }
-        let (gx, gy, gz, gs) = (&groups.x[..count], &groups.y[..count], &groups.z[..count], &groups.s[..count]);
-        let importance = &mut p.importance[..count];
-        let status = &mut p.status[..count];
-        let mut total = 0.0;
-        for g in 0..count {
-            let d = n.x * gx[g] + n.y * gy[g] + n.z * gz[g];
-            importance[g] = soft(d, gs[g]);
-            status[g] = if d >= gs[g] { 1 } else { 0 };
-        }
-        for &value in importance.iter() {
-            total += value;
-        }
-        let [rx, ry, rz, gx, gy, gz, bx, by, bz] = groups.rgb.each_ref().map(|row| &row[..count]);
-        let [red, green, blue] = p.exact.each_mut().map(|row| &mut row[..count]);
-        for g in 0..count {
-            let on = f32::from(status[g]);
-            red[g] = on * (n.x * rx[g] + n.y * ry[g] + n.z * rz[g]);
-            green[g] = on * (n.x * gx[g] + n.y * gy[g] + n.z * gz[g]);
-            blue[g] = on * (n.x * bx[g] + n.y * by[g] + n.z * bz[g]);
-        }
-        // The horizon's groups, leaf by leaf where that matters.
-        for g in 0..count {
-            if status[g] == 0 && importance[g] > 5e-4 * total {
-                let mut sum = 0.0;
-                let mut exact = Vec3::ZERO;
-                let leaves = &self.triangles.leaves;
-                for leaf in g * LEAVES_A_GROUP..(g + 1) * LEAVES_A_GROUP {
-                    let d = n.x * leaves.x[leaf] + n.y * leaves.y[leaf] + n.z * leaves.z[leaf];
-                    sum += soft(d, leaves.s[leaf]);
-                    if d >= leaves.s[leaf] {
-                        exact += leaves.irradiance(leaf, n);
-                    }
-                }
-                importance[g] = sum;
-                status[g] = 2;
-                (red[g], green[g], blue[g]) = (exact.x, exact.y, exact.z);
-            }
-        }
-        p.normal = n;
+        let jitter = point.numbers.word(0, 0x5ad0);
+        let [a, b, c] = [jitter, random::mix(jitter), random::mix(jitter ^ 0x9e37_79b9)].map(random::unit);
+        let key = ShadowCache::key(point.ng, point.distance, c - 0.5);
+        let record = cache.find(point.pixel, key, [a - 0.5, b - 0.5]);
+        out.lookups += 1;
+        out.found += u64::from(record.is_some());
+        (record.map(|record| record.visibility), target)
     }
 
-    /// Weights the groups by the cache, makes their counts and the control variate's integral.
-    fn weigh(&self, visibility: Option<&[u8]>, p: &mut Prepared) -> Vec3 {
-        let count = p.importance.len();
-        p.weighted.resize(count, 0.0);
-        p.begins.resize(count + 1, 0);
-        let weighted = &mut p.weighted[..count];
-        let importance = &p.importance[..count];
-        let mut integral = Vec3::ZERO;
+    /// Writes out a block that has come down.
+    fn emit(&self, point: &Point, count: usize, visibility: Option<&[u8]>, target: u32, out: &mut Draws) {
+        let first = out.dir.len();
+        let end = first + count;
+        out.dir.resize(end, -point.ns);
+        out.radiance.resize(end, Vec3::ZERO);
+        out.pdf.resize(end, 1.0);
+        let Draws { dir, radiance, pdf, control, target: targets, prepared, .. } = out;
+        let (dir, radiance, pdf) = (&mut dir[first..end], &mut radiance[first..end], &mut pdf[first..end]);
+        let (block, weights) = (&prepared.block, &prepared.weights);
+        for i in (0..count).filter(|&i| block.leaf[i] != NO_LEAF) {
+            let lit = self.order[block.place[i] as usize];
+            let (direction, solid_angle) = self.cells.direction(lit.place, block.x[i], block.y[i]);
+            dir[i] = direction;
+            radiance[i] = Vec3::from(lit.radiance);
+            pdf[i] = (block.probability[i] / f64::from(solid_angle)) as f32;
+        }
         if let Some(visibility) = visibility {
-            let visibility = &visibility[..count];
-            let [red, green, blue] = p.exact.each_ref().map(|row| &row[..count]);
-            let mut sums = [[0.0f32; 16]; 3];
-            for first in (0..count).step_by(16) {
-                for i in 0..16 {
-                    let m = f32::from(visibility[first + i]) * (1.0 / 255.0);
-                    let s = (m * (1.0 - m)).sqrt().max(FLOOR);
-                    weighted[first + i] = importance[first + i] * s;
-                    sums[0][i] += m * red[first + i];
-                    sums[1][i] += m * green[first + i];
-                    sums[2][i] += m * blue[first + i];
-                }
-            }
-            integral = Vec3::from(sums.map(|lanes| lanes.iter().sum()));
-        } else {
-            weighted.copy_from_slice(importance);
+            control.extend((0..count).map(|i| {
+                // The control variate covers what the exact integral does.
+                let group = block.group[i] as usize;
+                let covered = match weights.status[group] {
+                    BELOW => false,
+                    CROSSING => block.above[i] == 1,
+                    _ => true,
+                };
+                let b = if covered { f32::from(visibility[group]) * (1.0 / 255.0) } else { 0.0 };
+                radiance[i] * (b * dir[i].dot(point.ns))
+            }));
         }
-        let total = sum(weighted);
-        let scale = if total > 0.0 { GROUP_COUNTS / total } else { 0.0 };
-        let begins = &mut p.begins[..count + 1];
-        let mut at = 0;
-        for g in 0..count {
-            begins[g] = at;
-            // Never nothing where there is importance.
-            at += (weighted[g] * scale) as u32 + u32::from(importance[g] > 0.0);
-        }
-        begins[count] = at;
-        integral
-    }
-
-    /// The counts of a group's leaves for a normal: where each begins, and the sum.
-    #[inline(always)]
-    fn leaf_counts(&self, g: usize, n: Vec3, begins: &mut [u32; LEAVES_A_GROUP + 1]) {
-        let leaves = &self.triangles.leaves;
-        let range = g * LEAVES_A_GROUP..(g + 1) * LEAVES_A_GROUP;
-        let (x, y, z, s) =
-            (&leaves.x[range.clone()], &leaves.y[range.clone()], &leaves.z[range.clone()], &leaves.s[range]);
-        let mut e = [0.0f32; LEAVES_A_GROUP];
-        for i in 0..LEAVES_A_GROUP {
-            e[i] = soft(n.x * x[i] + n.y * y[i] + n.z * z[i], s[i]);
-        }
-        let total = sum(&e);
-        let scale = if total > 0.0 { LEAF_COUNTS / total } else { 0.0 };
-        let mut at = 0;
-        for i in 0..LEAVES_A_GROUP {
-            begins[i] = at;
-            at += (e[i] * scale) as u32 + u32::from(e[i] > 0.0);
-        }
-        begins[LEAVES_A_GROUP] = at;
-    }
-
-    /// The cell of `leaf` that count `at` falls to: its place in `order`.
-    #[inline(always)]
-    fn find_cell(&self, leaf: Leaf, at: u32) -> u32 {
-        let (mut low, mut size) = (leaf.begin, leaf.end - leaf.begin);
-        while size > 1 {
-            let half = size / 2;
-            let middle = low + half;
-            low = if self.begins[middle as usize] <= at { middle } else { low };
-            size -= half;
-        }
-        low
-    }
-
-    fn cell_width(&self, leaf: Leaf, place: u32) -> u32 {
-        let end = if place + 1 < leaf.end { self.begins[place as usize + 1] } else { leaf.counts };
-        end - self.begins[place as usize]
-    }
-}
-
-/// A sum over sixteen lanes: vector code without reassociating what the source says.
-#[inline(always)]
-fn sum(values: &[f32]) -> f32 {
-    let mut lanes = [0.0f32; 16];
-    let chunks = values.chunks_exact(16);
-    for chunk in chunks {
-        for i in 0..16 {
-            lanes[i] += chunk[i];
+        if self.cache.is_some() {
+            targets.extend((0..count).map(|i| {
+                let counts = block.leaf[i] != NO_LEAF && target != NO_TARGET;
+                if counts { target + block.group[i] } else { NO_TARGET }
+            }));
         }
     }
-    lanes.iter().sum()
 }
 
 /// Makes the integer CDF of every leaf's cells: at least one count each.
 fn cell_counts(cells: &DomeCells, order: &[u32], leaves: &mut [Leaf], begins: &mut [u32]) {
-    // Leaves follow each other in `order`: hand every one its own piece.
+    // Hand every leaf its own piece, in the order in which they follow each other.
     let mut pieces = Vec::with_capacity(leaves.len());
     let mut rest = begins;
-    for leaf in leaves.iter_mut().filter(|leaf| leaf.end > leaf.begin) {
+    let mut in_order: Vec<&mut Leaf> = leaves.iter_mut().filter(|leaf| leaf.end > leaf.begin).collect();
+    in_order.sort_unstable_by_key(|leaf| leaf.begin);
+    for leaf in in_order {
         let (piece, after) = rest.split_at_mut((leaf.end - leaf.begin) as usize);
         rest = after;
         pieces.push((leaf, piece));
@@ -286,133 +208,49 @@ fn cell_counts(cells: &DomeCells, order: &[u32], leaves: &mut [Leaf], begins: &m
 impl DomeSampler for Tessellated {
     fn draw(&self, point: &Point, n: u32, out: &mut Draws) {
         out.clear();
-        let normal = point.ns;
-        let mut p = std::mem::take(&mut out.prepared);
-        if p.normal != normal || p.importance.is_empty() {
-            self.sweep(normal, &mut p);
-        }
-        let mut target = NO_TARGET;
-        let mut record = None;
-        if let Some(cache) = &self.cache {
-            let jitter = point.numbers.word(0, 0x5ad0);
-            let [a, b, c] = [jitter, random::mix(jitter), random::mix(jitter ^ 0x9e37_79b9)].map(random::unit);
-            let key = ShadowCache::key(point.ng, point.distance, 0.0);
-            target = cache.admit(point.pixel, key);
-            if self.warm {
-                let key = ShadowCache::key(point.ng, point.distance, c - 0.5);
-                record = cache.find(point.pixel, key, [a - 0.5, b - 0.5]);
-                out.lookups += 1;
-                out.found += u64::from(record.is_some());
-            }
-        }
-        let visibility = record.map(|r| r.visibility);
-        out.integral = self.weigh(visibility, &mut p);
-        let groups = p.importance.len();
-        let total = p.begins[groups];
-        if total == 0 {
+        let (visibility, target) = self.consult(point, out);
+        let weights = &mut out.prepared.weights;
+        out.integral = dispatch(Weigh { triangles: &self.triangles, normal: point.ns, visibility, weights });
+        if weights.total == 0 {
             // Nothing shines on this side.
-            out.dir.push(normal);
+            out.dir.push(point.ns);
             out.radiance.push(Vec3::ZERO);
             out.pdf.push(1.0);
-            out.prepared = p;
             return;
         }
-        let step = f64::from(total) / f64::from(n);
-        let mut group = 0;
-        let mut prepared_for = usize::MAX;
-        let mut leaf_begins = [0u32; LEAVES_A_GROUP + 1];
-        for i in 0..n {
-            let stratum = point.numbers.within_stratum(i);
-            let fresh = point.numbers.word(i, 1);
-            let fraction = f64::from(stratum) * 2f64.powi(-32) + f64::from(fresh >> 12) * 2f64.powi(-52);
-            let at = (((f64::from(i) + fraction) * step) as u32).min(total - 1);
-            while p.begins[group + 1] <= at {
-                group += 1;
-            }
-            let group_width = p.begins[group + 1] - p.begins[group];
-            if prepared_for != group {
-                self.leaf_counts(group, normal, &mut leaf_begins);
-                prepared_for = group;
-            }
-            let leaf_total = leaf_begins[LEAVES_A_GROUP];
-            if leaf_total == 0 {
-                // The group's cone crosses the horizon, none of its texels does: it holds no light for this normal.
-                out.dir.push(-normal);
-                out.radiance.push(Vec3::ZERO);
-                out.pdf.push(1.0);
-                if visibility.is_some() {
-                    out.control.push(Vec3::ZERO);
-                }
-                if self.cache.is_some() {
-                    out.target.push(NO_TARGET);
-                }
-                continue;
-            }
-            let unit = |word: u32| f64::from(word) * 2f64.powi(-32);
-            let fresh = random::mix(fresh ^ 0x3c6e_f372);
-            let x = (f64::from(at - p.begins[group]) + unit(fresh)) / f64::from(group_width);
-            let at = ((x * f64::from(leaf_total)) as u32).min(leaf_total - 1);
-            let mut lane = 0;
-            for &begin in &leaf_begins[1..LEAVES_A_GROUP] {
-                lane += usize::from(begin <= at);
-            }
-            let leaf_width = leaf_begins[lane + 1] - leaf_begins[lane];
-            let slot = group * LEAVES_A_GROUP + lane;
-            let leaf = self.leaves[slot];
-            let fresh = random::mix(fresh ^ 0xdaa6_6d2b);
-            let x = (f64::from(at - leaf_begins[lane]) + unit(fresh)) / f64::from(leaf_width);
-            let at = ((x * f64::from(leaf.counts)) as u32).min(leaf.counts - 1);
-            let place = self.find_cell(leaf, at);
-            let cell_width = self.cell_width(leaf, place);
-            let fresh = random::mix(fresh ^ 0x78dd_e6e4);
-            let x = (f64::from(at - self.begins[place as usize]) + unit(fresh)) / f64::from(cell_width);
-            // The last of the number, digit by digit to the two sides of the cell; fresh digits below.
-            let z = (x * 65536.0) as u32;
-            let fresh = random::mix(fresh ^ 0x1715_609d);
-            let side = |z: u32, low: u32| ((compact(z) << 16 | low) as f32) * (1.0 / 16_777_216.0);
-            let (dx, dy) = (side(z, fresh & 0xffff), side(z >> 1, fresh >> 16));
-            let cell = self.order[place as usize];
-            let (dir, solid_angle) = self.cells.direction(cell, dx, dy);
-            let probability = f64::from(group_width) / f64::from(total) * f64::from(leaf_width) / f64::from(leaf_total)
-                * f64::from(cell_width)
-                / f64::from(leaf.counts);
-            let radiance = self.cells.radiance(cell);
-            out.dir.push(dir);
-            out.radiance.push(radiance);
-            out.pdf.push((probability / f64::from(solid_angle)) as f32);
-            if let Some(visibility) = visibility {
-                let leaves = &self.triangles.leaves;
-                let d = normal.x * leaves.x[slot] + normal.y * leaves.y[slot] + normal.z * leaves.z[slot];
-                let exact = match p.status[group] {
-                    0 => false,
-                    1 => true,
-                    _ => d >= leaves.s[slot],
-                };
-                let b = if exact { f32::from(visibility[group]) * (1.0 / 255.0) } else { 0.0 };
-                out.control.push(radiance * (b * dir.dot(normal)));
-            }
-            if self.cache.is_some() {
-                out.target.push(if target == NO_TARGET { NO_TARGET } else { target + group as u32 });
-            }
+        for first in (0..n).step_by(BLOCK) {
+            let count = (n - first).min(BLOCK as u32) as usize;
+            let prepared = &mut out.prepared;
+            dispatch(Descend {
+                sampler: self,
+                weights: &prepared.weights,
+                normal: point.ns,
+                numbers: point.numbers,
+                first,
+                count,
+                of: n,
+                controlled: visibility.is_some(),
+                block: &mut prepared.block,
+            });
+            self.emit(point, count, visibility, target, out);
         }
-        out.prepared = p;
     }
 
     fn pdf(&self, point: &Point, drawn: &Draws, dir: Vec3, texel: u32) -> f32 {
-        let p = &drawn.prepared;
-        let total = p.begins[p.importance.len()];
+        let weights = &drawn.prepared.weights;
         let cell = self.cells.cell(dir, texel);
         let (place, slot) = match self.places.get(cell as usize) {
-            Some(&(place, slot)) if place != u32::MAX && total > 0 => (place, slot as usize),
+            Some(&(place, slot)) if place != u32::MAX && weights.total > 0 => (place, slot as usize),
             _ => return 0.0,
         };
-        let (group, lane) = (slot / LEAVES_A_GROUP, slot % LEAVES_A_GROUP);
-        let mut begins = [0u32; LEAVES_A_GROUP + 1];
-        self.leaf_counts(group, point.ns, &mut begins);
+        let group = slot / LEAVES_A_GROUP;
+        // As `draw` chose them.
+        let high = weights.status[group] == HIGH && !drawn.control.is_empty();
+        let counts = if high { self.high[group] } else { LeafCounts::new(&self.triangles.leaves, group, point.ns) };
         let share = |width: u32, of: u32| if of == 0 { 0.0 } else { f64::from(width) / f64::from(of) };
         let leaf = self.leaves[slot];
-        let probability = share(p.begins[group + 1] - p.begins[group], total)
-            * share(begins[lane + 1] - begins[lane], begins[LEAVES_A_GROUP])
+        let probability = share(weights.widths[group], weights.total)
+            * share(counts.widths[slot % LEAVES_A_GROUP], counts.total)
             * share(self.cell_width(leaf, place), leaf.counts);
         (probability / self.cells.solid_angle(cell)) as f32
     }
@@ -451,7 +289,7 @@ impl DomeSampler for Tessellated {
 
     fn stats(&self) -> SamplerStats {
         let moments = 13 * 4 * (self.triangles.groups.x.len() + self.triangles.leaves.x.len());
-        let bytes = moments + 8 * self.order.len() + 8 * self.places.len() + 12 * self.leaves.len();
+        let bytes = moments + 20 * self.order.len() + 8 * self.places.len() + 12 * self.leaves.len();
         SamplerStats {
             prepare_s: self.prepare_s,
             triangles: self.leaves.iter().filter(|leaf| leaf.end > leaf.begin).count() as u64,
@@ -463,13 +301,4 @@ impl DomeSampler for Tessellated {
             }),
         }
     }
-}
-
-/// Every other bit of a 16-bit word, packed into a byte.
-#[inline(always)]
-fn compact(mut x: u32) -> u32 {
-    x &= 0x5555;
-    x = (x | (x >> 1)) & 0x3333;
-    x = (x | (x >> 2)) & 0x0f0f;
-    (x | (x >> 4)) & 0x00ff
 }

@@ -124,7 +124,8 @@ impl Args {
     pub(super) fn settings(&self) -> Result<Settings> {
         let [width, height] = self.size;
         let crop = self.crop.unwrap_or([0, 0, width, height]);
-        let fits = |first: u32, count: u32, all: u32| count > 0 && first.checked_add(count).is_some_and(|end| end <= all);
+        let fits =
+            |first: u32, count: u32, all: u32| count > 0 && first.checked_add(count).is_some_and(|end| end <= all);
         if !fits(crop[0], crop[2], width) || !fits(crop[1], crop[3], height) {
             bail!(Error::Option(format!("--crop {crop:?} does not lie in the {width}x{height} image")));
         }

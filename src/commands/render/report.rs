@@ -132,7 +132,8 @@ impl Report<'_> {
 /// Process CPU seconds and peak resident bytes, as the kernel counts them; zeros where it does not say.
 fn usage() -> (f64, u64) {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let kib = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).and_then(|rest| rest.split_whitespace().next());
+    let kib =
+        status.lines().find_map(|line| line.strip_prefix("VmHWM:")).and_then(|rest| rest.split_whitespace().next());
     let peak = kib.and_then(|kib| kib.parse::<u64>().ok()).unwrap_or(0) * 1024;
     // Fields 14 and 15, counted after the command's closing parenthesis; a tick is 1/100 s on Linux.
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
