@@ -105,3 +105,36 @@ fn materials_are_read() {
         assert_eq!(s.cameras.len(), 2);
     }
 }
+
+/// Bytes of a rich scene changed here and there: a scene or an error, within bounds.
+#[test]
+fn mutated_generated_scenes_are_scenes_or_errors() {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("scenes/materials.glb");
+    let good = std::fs::read(path).expect("the repository's own scene");
+    let text = u32::from_le_bytes([good[12], good[13], good[14], good[15]]) as usize;
+    let mut state = 0x2545_f491_4f6c_dd1du64;
+    let mut random = move || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 16) as usize
+    };
+    let mut accepted = 0;
+    for round in 0..300 {
+        let mut bytes = good.clone();
+        // Most of the damage goes where the structure is.
+        let reach = if round % 3 == 0 { bytes.len() } else { 20 + text };
+        for _ in 0..1 + random() % 4 {
+            let at = random() % reach;
+            bytes[at] =
+                if bytes[at].is_ascii_digit() { b'0' + (random() % 10) as u8 } else { bytes[at] ^ 1 << (random() % 8) };
+        }
+        if let Ok(scene) = scene_support::load_bytes(&bytes) {
+            accepted += 1;
+            let held: usize = scene.meshes.iter().map(|m| m.positions.len() * 12 + m.indices.len() * 12).sum();
+            let texels: usize = scene.textures.iter().map(|t| t.texels.len() * 4).sum();
+            assert!(held + texels < 1 << 27, "{held} + {texels} bytes");
+        }
+    }
+    assert!(accepted > 20, "{accepted}");
+}
