@@ -101,7 +101,8 @@ pub(crate) fn grid(columns: u32, rows: u32, uvs: bool, at: impl Fn(f32, f32) -> 
 pub(crate) fn globe(columns: u32, rows: u32) -> Shape {
     grid(columns, rows, true, |u, v| {
         let ((sin, cos), (ring, up)) = ((u * TAU).sin_cos(), (v * PI).sin_cos());
-        let p = Vec3::new(ring * cos, up, -ring * sin);
+        // The sine of the nearest number to π is a little below zero: it would turn the last row over.
+        let p = Vec3::new(ring.max(0.0) * cos, up, -ring.max(0.0) * sin);
         (p, p)
     })
 }
