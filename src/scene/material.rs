@@ -237,3 +237,19 @@ impl Material {
         .flatten()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The example of the extension's text: the lower left quadrant, turned clockwise by 90°.
+    #[test]
+    fn the_transform_turns_the_way_the_extension_shows() {
+        let json = r#"{ "offset": [0, 1], "rotation": 1.57079632679, "scale": [0.5, 0.5] }"#;
+        let transform = matrix(&json::deserialize::from_str(json).unwrap());
+        let map = TextureRef { texture: 0, uv_set: 0, transform };
+        for (uv, wanted) in [([0.0, 0.0], [0.0, 1.0]), ([1.0, 0.0], [0.0, 0.5]), ([1.0, 1.0], [0.5, 0.5])] {
+            assert!((map.map(uv.into()) - Vec2::from_array(wanted)).length() < 1e-6, "{uv:?}: {}", map.map(uv.into()));
+        }
+    }
+}

@@ -128,9 +128,8 @@ fn decode_image(asset: &Asset, index: usize) -> Result<Decoded> {
     }
     let image = reader()?.decode().map_err(failed)?;
     let deep = image.color().bytes_per_pixel() > image.color().channel_count();
-    let texels: Vec<[u8; 4]> = match image.into_rgba8().into_raw() {
-        raw => raw.chunks_exact(4).map(|p| [p[0], p[1], p[2], p[3]]).collect(),
-    };
+    let rgba = image.into_rgba8();
+    let texels: Vec<[u8; 4]> = rgba.pixels().map(|p| p.0).collect();
     if texels.is_empty() {
         return Err(asset.error(format!("{place} has no pixels; save it again")));
     }
