@@ -71,7 +71,7 @@ fn is_leaf(primitives: &[Primitive]) -> bool {
 }
 
 /// Splits a range into up to eight.
-fn children<'a>(primitives: &'a mut [Primitive], info: Info, depth: usize) -> Vec<(&'a mut [Primitive], Info)> {
+fn children(primitives: &mut [Primitive], info: Info, depth: usize) -> Vec<(&mut [Primitive], Info)> {
     let mut children = Vec::with_capacity(WIDTH);
     children.push((primitives, info));
     while children.len() < WIDTH {

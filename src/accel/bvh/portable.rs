@@ -49,11 +49,8 @@ impl Kernel for Portable {
     fn closest(ray: &Prepared, block: &Block) -> Option<Met> {
         let mut nearest: Option<Met> = None;
         for lane in 0..BLOCK {
-            if let Some(met) = meets(ray, block, lane) {
-                if nearest.is_none_or(|n| met.t < n.t) {
-                    nearest = Some(met);
-                }
-            }
+            let met = meets(ray, block, lane);
+            nearest = nearest.into_iter().chain(met).min_by(|a, b| a.t.total_cmp(&b.t));
         }
         nearest
     }
