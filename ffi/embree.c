@@ -19,7 +19,7 @@
 
 _Static_assert(sizeof(dome_ray) == 32, "dome_ray");
 _Static_assert(sizeof(dome_hit) == 20, "dome_hit");
-_Static_assert(sizeof(dome_options) == 16, "dome_options");
+_Static_assert(sizeof(dome_options) == 20, "dome_options");
 _Static_assert(sizeof(dome_mesh) == 40, "dome_mesh");
 _Static_assert(sizeof(dome_memory) == 16, "dome_memory");
 
@@ -31,6 +31,7 @@ struct dome_embree {
   size_t shared_capacity;
   enum RTCSceneFlags flags;
   enum RTCBuildQuality quality;
+  bool single;
   _Atomic int64_t bytes;
   _Atomic int64_t peak_bytes;
   char error[256];
@@ -95,6 +96,7 @@ dome_embree *dome_create(const dome_options *options) {
   static const enum RTCBuildQuality QUALITIES[3] = {RTC_BUILD_QUALITY_LOW, RTC_BUILD_QUALITY_MEDIUM,
                                                     RTC_BUILD_QUALITY_HIGH};
   embree->quality = QUALITIES[options->quality < 3 ? options->quality : 1];
+  embree->single = options->single != 0;
   embree->world = new_scene(embree);
   return embree;
 }
@@ -204,6 +206,7 @@ static occluded_args make_occluded_args(void) {
 }
 #define INTERSECT1(scene, args, rayhit) rtcIntersect1(scene, rayhit, args)
 #define INTERSECT16(valid, scene, args, rayhit) rtcIntersect16(valid, scene, rayhit, args)
+#define OCCLUDED1(scene, args, ray) rtcOccluded1(scene, ray, args)
 #define OCCLUDED16(valid, scene, args, ray) rtcOccluded16(valid, scene, ray, args)
 #else
 typedef struct RTCIntersectContext intersect_args;
@@ -217,6 +220,7 @@ static intersect_args make_intersect_args(bool coherent) {
 static occluded_args make_occluded_args(void) { return make_intersect_args(false); }
 #define INTERSECT1(scene, args, rayhit) rtcIntersect1(scene, args, rayhit)
 #define INTERSECT16(valid, scene, args, rayhit) rtcIntersect16(valid, scene, args, rayhit)
+#define OCCLUDED1(scene, args, ray) rtcOccluded1(scene, args, ray)
 #endif
 
 /* ------------------------------------------------------------------------------------------------------ the rays */
@@ -284,7 +288,7 @@ static void intersect_packets(const dome_embree *embree, const dome_ray *rays, s
 
 void dome_intersect(const dome_embree *embree, const dome_ray *rays, size_t count, uint32_t mask, uint32_t coherent,
                     dome_hit *hits) {
-  if (coherent && count >= 8) {
+  if (coherent && count >= 8 && !embree->single) {
     intersect_packets(embree, rays, count, mask, hits);
     return;
   }
@@ -301,8 +305,19 @@ void dome_intersect(const dome_embree *embree, const dome_ray *rays, size_t coun
   }
 }
 
+static void occluded_single(const dome_embree *embree, const dome_ray *rays, size_t count, uint32_t mask,
+                            uint8_t *occluded) {
+  occluded_args args = make_occluded_args();
+  for (size_t i = 0; i < count; i++) {
+    struct RTCRay ray = to_rtc(&rays[i], mask);
+    OCCLUDED1(embree->world, &args, &ray);
+    occluded[i] = ray.tfar < 0.0f;
+  }
+}
+
 #if RTC_VERSION_MAJOR >= 4
-void dome_occluded(const dome_embree *embree, const dome_ray *rays, size_t count, uint32_t mask, uint8_t *occluded) {
+static void occluded_batch(const dome_embree *embree, const dome_ray *rays, size_t count, uint32_t mask,
+                           uint8_t *occluded) {
   occluded_args args = make_occluded_args();
   for (size_t first = 0; first < count; first += 16) {
     size_t n = count - first < 16 ? count - first : 16;
@@ -314,11 +329,12 @@ void dome_occluded(const dome_embree *embree, const dome_ray *rays, size_t count
   }
 }
 #else
-/* Embree 3's streams are 26 to 59 % faster than single rays (they sort a block by octant and go through the tree with
- * several rays at a time); Embree 4 has no such call. */
+/* Embree 3's streams are 26 to 59 % faster than single rays: they sort a block by octant and go through the tree with
+ * several rays at a time. Embree 4 has no such call. */
 enum { BLOCK = 64 };
 
-void dome_occluded(const dome_embree *embree, const dome_ray *rays, size_t count, uint32_t mask, uint8_t *occluded) {
+static void occluded_batch(const dome_embree *embree, const dome_ray *rays, size_t count, uint32_t mask,
+                           uint8_t *occluded) {
   occluded_args args = make_occluded_args();
   struct RTCRay block[BLOCK];
   for (size_t first = 0; first < count; first += BLOCK) {
@@ -329,3 +345,10 @@ void dome_occluded(const dome_embree *embree, const dome_ray *rays, size_t count
   }
 }
 #endif
+
+void dome_occluded(const dome_embree *embree, const dome_ray *rays, size_t count, uint32_t mask, uint8_t *occluded) {
+  if (embree->single)
+    occluded_single(embree, rays, count, mask, occluded);
+  else
+    occluded_batch(embree, rays, count, mask, occluded);
+}

@@ -34,6 +34,7 @@ typedef struct dome_options {
   uint32_t quality; /* 0 low, 1 medium, 2 high */
   uint32_t robust;
   uint32_t compact;
+  uint32_t single; /* one ray a call to Embree: to compare with */
 } dome_options;
 
 /* A mesh to copy: xyz triples of floats and index triples, each index below vertex_count. */

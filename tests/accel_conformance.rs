@@ -14,6 +14,7 @@ fn specs() -> Vec<String> {
     if specs.iter().any(|s| s == "embree") {
         specs.extend(["embree:quality=high,robust=off", "embree:quality=low,compact=on"].map(str::to_owned));
     }
+    specs.extend(["bvh:isa=avx2", "bvh:isa=portable"].map(str::to_owned));
     specs
 }
 

@@ -42,7 +42,7 @@ impl Brute {
         for placement in super::placement::place(scene)? {
             for triangle in 0..scene.meshes[placement.mesh as usize].indices.len() as u32 {
                 let corners = scene.triangle(placement.instance, triangle);
-                if corners.iter().all(|p| p.is_finite()) {
+                if corners.into_iter().all(super::placement::usable) {
                     let corners = corners.map(|p| p.as_dvec3());
                     triangles.push(Triangle {
                         corners,

@@ -15,7 +15,6 @@ use crate::error::{Error, Result};
 use crate::registry::{Kind, Opt, Params, Plugin};
 use crate::scene::Scene;
 use glam::Vec3;
-use std::borrow::Cow;
 use std::collections::HashMap;
 use std::ffi::CStr;
 use std::ptr::NonNull;
@@ -41,7 +40,7 @@ const _: () =
     assert!(size_of::<Ray>() == size_of::<ffi::dome_ray>() && align_of::<Ray>() == align_of::<ffi::dome_ray>());
 const _: () =
     assert!(size_of::<Hit>() == size_of::<ffi::dome_hit>() && align_of::<Hit>() == align_of::<ffi::dome_hit>());
-const _: () = assert!(size_of::<ffi::dome_options>() == 16 && size_of::<ffi::dome_mesh>() == 40);
+const _: () = assert!(size_of::<ffi::dome_options>() == 20 && size_of::<ffi::dome_mesh>() == 40);
 const _: () = assert!(size_of::<Vec3>() == 12 && size_of::<ffi::dome_memory>() == 16);
 
 /// The plugin.
@@ -56,6 +55,7 @@ pub(super) const PLUGIN: Plugin<MakeAccel> = Plugin {
             about: "how long to build; high needs robust=off and compact=off to differ from medium",
         },
         Opt { key: "robust", kind: Kind::Switch, default: "on", about: "no ray slips between two triangles" },
+        Opt { key: "single", kind: Kind::Switch, default: "off", about: "one ray a call: for comparisons" },
         Opt { key: "compact", kind: Kind::Switch, default: "off", about: "half the memory, a fifth slower" },
     ],
     make: |scene, params, threads| Ok(Box::new(Embree::new(scene, params, threads)?)),
@@ -91,6 +91,7 @@ impl Handle {
             },
             robust: params.switch("robust").into(),
             compact: params.switch("compact").into(),
+            single: params.switch("single").into(),
         };
         // SAFETY: `options` is a live struct of the layout the header declares.
         let pointer = unsafe { ffi::dome_create(&raw const options) };
@@ -209,35 +210,12 @@ impl Embree {
         };
         Ok(Self { handle, stats, invalid: AtomicU64::new(0), limit: placement::ray_limit(&placements) })
     }
-
-    fn traceable(&self, ray: &Ray) -> bool {
-        ray.is_valid() && ray.origin.abs().max(ray.dir.abs()).max_element() < self.limit
-    }
-
-    /// The rays with those that can't be traced replaced by one that meets nothing (it ends before it starts).
-    fn traceable_rays<'a>(&self, rays: &'a [Ray]) -> Cow<'a, [Ray]> {
-        // Without an early exit the test is done on several rays at once.
-        if rays.iter().fold(true, |all, ray| all & self.traceable(ray)) {
-            return Cow::Borrowed(rays);
-        }
-        let nothing = Ray { origin: Vec3::ZERO, tnear: 1.0, dir: Vec3::Y, tfar: 0.0 };
-        let mut replaced = 0;
-        let mut rays = rays.to_vec();
-        for ray in &mut rays {
-            if !self.traceable(ray) {
-                *ray = nothing;
-                replaced += 1;
-            }
-        }
-        self.invalid.fetch_add(replaced, Ordering::Relaxed);
-        Cow::Owned(rays)
-    }
 }
 
 impl Accel for Embree {
     fn intersect(&self, rays: &[Ray], mask: Mask, coherence: Coherence, hits: &mut [Hit]) {
         assert_eq!(rays.len(), hits.len(), "a hit for every ray");
-        let rays = self.traceable_rays(rays);
+        let rays = placement::traceable(rays, self.limit, &self.invalid);
         let coherent = u32::from(coherence == Coherence::Coherent);
         // SAFETY: Both slices have `rays.len()` elements of the layouts asserted above, the scene is committed, and
         // every ray is valid in the world and in the space of every instance.
@@ -255,7 +233,7 @@ impl Accel for Embree {
 
     fn occluded(&self, rays: &[Ray], mask: Mask, occluded: &mut [u8]) {
         assert_eq!(rays.len(), occluded.len(), "an answer for every ray");
-        let rays = self.traceable_rays(rays);
+        let rays = placement::traceable(rays, self.limit, &self.invalid);
         // SAFETY: As in `intersect`; `occluded` has one byte for every ray.
         unsafe {
             ffi::dome_occluded(

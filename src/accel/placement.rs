@@ -4,11 +4,12 @@
 //! traced through its instances' inverse transforms. Where that inverse would lose the mesh (a scale of zero in one
 //! axis, a legal way to make a flat shadow) or throw rays out of the range of a float, the instance is baked instead.
 
-use super::Mask;
+use super::{Mask, Ray};
 use crate::error::{Error, Result};
 use crate::scene::Scene;
 use glam::{Affine3A, Vec3};
 use std::borrow::Cow;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Entries of an inverse beyond this are not trusted: the instance is less than a micrometre a metre.
 const LARGEST_INVERSE: f32 = 1e6;
@@ -86,6 +87,32 @@ pub(super) fn ray_limit(placements: &[Placement]) -> f32 {
         }
     }
     limit
+}
+
+/// The rays, with those that can't be traced (or that go beyond `limit`) replaced by one that meets nothing; those are
+/// added to `invalid`.
+pub(super) fn traceable<'a>(rays: &'a [Ray], limit: f32, invalid: &AtomicU64) -> Cow<'a, [Ray]> {
+    let good = |ray: &Ray| ray.is_valid() & (ray.origin.abs().max(ray.dir.abs()).max_element() < limit);
+    // Without an early exit the test is done on several rays at once.
+    if rays.iter().fold(true, |all, ray| all & good(ray)) {
+        return Cow::Borrowed(rays);
+    }
+    // It ends before it starts.
+    let nothing = Ray { origin: Vec3::ZERO, tnear: 1.0, dir: Vec3::Y, tfar: 0.0 };
+    let mut replaced = 0;
+    let mut rays = rays.to_vec();
+    for ray in rays.iter_mut().filter(|ray| !good(ray)) {
+        *ray = nothing;
+        replaced += 1;
+    }
+    invalid.fetch_add(replaced, Ordering::Relaxed);
+    Cow::Owned(rays)
+}
+
+/// Whether a vertex has a place: finite and of the magnitude that rays may have. Triangles with others are left out.
+pub(super) fn usable(vertex: Vec3) -> bool {
+    // A comparison with NaN is false; max() alone would hide it.
+    vertex.is_finite() && vertex.abs().max_element() < 1.8e18
 }
 
 fn trusted_inverse(transform: &Affine3A) -> Option<Affine3A> {
