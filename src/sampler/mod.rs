@@ -8,6 +8,11 @@
 //! The one way back: what the rays of a pass saw ([`DomeSampler::observe`]) reaches the draws of later stages, after
 //! [`DomeSampler::next_stage`]. Within a stage the sampler is frozen, so a draw never depends on its own rays.
 
+pub mod cosine;
+pub mod latlong;
+mod table;
+pub mod uniform;
+
 use crate::bsdf::Bsdf;
 use crate::dome::Dome;
 use crate::error::Result;
@@ -178,4 +183,4 @@ pub struct Setup {
 pub type MakeSampler = fn(&Arc<Dome>, &Params, &Setup) -> Result<Box<dyn DomeSampler>>;
 
 /// All dome samplers; the first is the default.
-pub const SAMPLERS: &[Plugin<MakeSampler>] = &[];
+pub const SAMPLERS: &[Plugin<MakeSampler>] = &[latlong::PLUGIN, cosine::PLUGIN, uniform::PLUGIN];
