@@ -96,7 +96,8 @@ pub struct Cell {
 }
 
 impl Cell {
-    fn of_texel(grid: &Grid, column: u32, row: u32) -> Self {
+    fn of(grid: &Grid, texel: u32) -> Self {
+        let (column, row) = (texel % grid.width, texel / grid.width);
         let z = |y: u32| (f64::from(y) / f64::from(grid.height) * PI).cos();
         let phi = |x: u32| grid.azimuth(f64::from(x));
         Self { z: [z(row), z(row + 1)], phi: [phi(column), phi(column + 1)] }
@@ -144,27 +145,25 @@ impl Cell {
     }
 }
 
-/// ∫ L (n·ω)⁺ dω a channel, f64; and the part of it that comes from slivers: texels of which next to nothing is above
-/// the horizon, which an unbiased estimator of some ten thousand rays may well never meet.
-pub fn irradiance(dome: &Dome, n: Vec3) -> ([f64; 3], [f64; 3]) {
+/// ∫ (n·ω)⁺ dω over each texel, f64: times radiance and summed, the irradiance.
+pub fn cosines(grid: &Grid, n: Vec3) -> Vec<f64> {
     let n = n.as_dvec3().normalize();
-    let grid = &dome.grid;
     let depth = 11u32.saturating_sub(grid.height.ilog2()).max(5);
-    let (mut sum, mut slivers) = ([0.0; 3], [0.0; 3]);
-    for (i, texel) in dome.texels.iter().enumerate() {
-        if *texel == [0.0; 3] {
-            continue;
-        }
-        let cell = Cell::of_texel(grid, i as u32 % grid.width, i as u32 / grid.width);
-        let weight = cell.cosine(n, depth);
-        for (k, l) in texel.iter().enumerate() {
-            sum[k] += f64::from(*l) * weight;
-            if weight < 1e-3 * cell.area() {
-                slivers[k] += f64::from(*l) * weight;
-            }
-        }
-    }
-    (sum, slivers)
+    (0..grid.len() as u32).map(|texel| Cell::of(grid, texel).cosine(n, depth)).collect()
+}
+
+/// The share of its directions a sampler draws from each texel's part above the horizon.
+pub fn shares(sampler: &dyn DomeSampler, grid: &Grid, point: &Point, draws: &Draws) -> Vec<f64> {
+    let n = point.ns.as_dvec3();
+    let share = |texel: u32| {
+        let cell = Cell::of(grid, texel);
+        let k = if cell.crosses(n) { (512 / grid.height).clamp(16, 128) } else { 1 };
+        let at = |x: u32| (f64::from(x) + 0.5) / f64::from(k);
+        let dirs = (0..k * k).map(|s| cell.at(at(s / k), at(s % k)).as_vec3()).filter(|dir| point.ns.dot(*dir) > 0.0);
+        let sum: f64 = dirs.map(|dir| f64::from(sampler.pdf(point, draws, dir, texel))).sum();
+        sum * cell.area() / f64::from(k * k)
+    };
+    (0..grid.len() as u32).map(share).collect()
 }
 
 /// Draws `total` directions for a point with normal `n` and tests them against the sampler's density; the p-value, or
@@ -194,7 +193,7 @@ pub fn chi_square(sampler: &dyn DomeSampler, dome: &Dome, n: Vec3, seed: u32, to
             }
             // The texel first, then the part of it: a round trip in one go could leave the texel.
             let texel = near[0];
-            let cell = Cell::of_texel(grid, texel % grid.width, texel / grid.width);
+            let cell = Cell::of(grid, texel);
             let down = (cell.z[0] - f64::from(dir.y)) / (cell.z[0] - cell.z[1]);
             let turn = (f64::from(dir.z).atan2(f64::from(dir.x)) - cell.phi[0]).rem_euclid(TAU);
             // Just before the cell's beginning counts as its beginning.
@@ -210,7 +209,7 @@ pub fn chi_square(sampler: &dyn DomeSampler, dome: &Dome, n: Vec3, seed: u32, to
     sampler.draw(&point, BATCH, &mut draws);
     let mut expected = vec![0.0; cells];
     for texel in 0..grid.width * grid.height {
-        let whole = Cell::of_texel(grid, texel % grid.width, texel / grid.width);
+        let whole = Cell::of(grid, texel);
         for i in 0..rows {
             for j in 0..columns {
                 let cell = whole.part(i as usize, rows as usize, j as usize, columns as usize);
