@@ -5,6 +5,7 @@ pub mod bsdf;
 pub mod dome;
 pub mod error;
 pub mod hash;
+pub mod metrics;
 pub mod output;
 pub mod random;
 pub mod registry;
