@@ -7,6 +7,7 @@ pub mod error;
 pub mod film;
 pub mod hash;
 pub mod integrator;
+pub mod metrics;
 pub mod output;
 pub mod random;
 pub mod registry;

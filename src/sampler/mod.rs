@@ -9,10 +9,14 @@
 //! [`DomeSampler::next_stage`]. Within a stage the sampler is frozen, so a draw never depends on its own rays.
 
 pub mod cells;
+pub mod cosine;
+pub mod latlong;
 pub mod preconvolution;
 pub mod shadow_cache;
+mod table;
 pub mod tessellated;
 pub mod tessellation;
+pub mod uniform;
 
 use crate::bsdf::Bsdf;
 use crate::dome::Dome;
@@ -200,4 +204,5 @@ pub struct Setup {
 pub type MakeSampler = fn(&Arc<Dome>, &Params, &Setup) -> Result<Box<dyn DomeSampler>>;
 
 /// All dome samplers; the first is the default.
-pub const SAMPLERS: &[Plugin<MakeSampler>] = &[tessellated::PLUGIN];
+pub const SAMPLERS: &[Plugin<MakeSampler>] =
+    &[tessellated::PLUGIN, latlong::PLUGIN, cosine::PLUGIN, uniform::PLUGIN];

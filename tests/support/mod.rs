@@ -1,3 +1,5 @@
 //! What several tests share.
+#![allow(dead_code, reason = "each test uses a part")]
 
 pub(crate) mod accel;
+pub(crate) mod samplers;
