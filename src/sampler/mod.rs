@@ -155,7 +155,8 @@ pub struct CacheStats {
 /// Draws directions towards the dome. See the module for the contract.
 pub trait DomeSampler: Debug + Send + Sync {
     /// Draws at most `n` directions for `point` into `out` (cleared first). Fewer is allowed where fewer suffice, at
-    /// least one; directions below the horizon may be among them and carry their density like any other.
+    /// least one; directions below the horizon may be among them and carry their density like any other. A draw that
+    /// found no light points straight below with radiance 0: it counts, and that is all.
     fn draw(&self, point: &Point, n: u32, out: &mut Draws);
 
     /// The density with which [`Self::draw`] drew `dir`, which lies in `texel`, for the point that `drawn` holds.

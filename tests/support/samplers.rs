@@ -54,7 +54,7 @@ pub fn normals(count: usize) -> Vec<Vec3> {
 /// A sampler by its specification.
 pub fn sampler(spec: &str, dome: &Arc<Dome>, rays: u32) -> Box<dyn DomeSampler> {
     let (plugin, params) = resolve("sampler", SAMPLERS, spec).unwrap();
-    (plugin.make)(dome, &params, &Setup { size: [64, 64], gloss: false, rays }).unwrap()
+    (plugin.make)(dome, &params, &Setup { size: [64, 64], gloss: true, rays }).unwrap()
 }
 
 /// A Lambertian point with normal `n`, with numbers of its own.
@@ -212,7 +212,8 @@ pub fn chi_square(sampler: &dyn DomeSampler, dome: &Dome, n: Vec3, seed: u32, to
         for i in 0..rows {
             for j in 0..columns {
                 let cell = whole.part(i as usize, rows as usize, j as usize, columns as usize);
-                let k = if cell.crosses(n.as_dvec3()) { 24 } else { 3 };
+                // Densities step at the sampler's own cells, of which a cell here holds hundreds.
+                let k = if cell.crosses(n.as_dvec3()) { 32 } else { 16 };
                 let mut sum = 0.0;
                 for s in 0..k * k {
                     let at = |x: usize| (x as f64 + 0.5) / k as f64;
