@@ -1,5 +1,7 @@
 //! Every sampler estimates the irradiance of every odd dome without bias, and reports the densities it drew with.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
+
 mod support;
 
 use domelight::dome::Dome;

@@ -1,5 +1,7 @@
 //! `domelight compare` from the outside: figures, exit codes, files.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
+
 use assert_cmd::Command;
 use domelight::output::{self, Frame, Layer};
 use std::fs;
@@ -28,7 +30,7 @@ impl Set {
     fn new() -> Self {
         let set = Self { dir: tempfile::tempdir().unwrap() };
         let ramp = |i: u32| i as f32 / 100.0;
-        let noise = |i: u32| ramp(i) + if i % 2 == 0 { 0.01 } else { -0.01 };
+        let noise = |i: u32| ramp(i) + if i.is_multiple_of(2) { 0.01 } else { -0.01 };
         write(&set.path("a.exr"), (16, 12), ramp, Some(1e-4));
         write(&set.path("same.exr"), (16, 12), ramp, None);
         write(&set.path("noisy.exr"), (16, 12), noise, Some(1e-4));
