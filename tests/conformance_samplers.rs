@@ -13,7 +13,7 @@ use std::sync::Arc;
 use support::{cosines, dome, normals, point, sampler, shares, study_domes, texels_near};
 
 const RAYS: u32 = 16;
-const BATCHES: u32 = 2048;
+const BATCHES: u32 = 1024;
 
 fn odd_domes() -> Vec<(&'static str, Arc<Dome>)> {
     let mut list = study_domes();

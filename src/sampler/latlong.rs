@@ -139,8 +139,12 @@ fn turn([cos, sin]: [f32; 2], angle: f32) -> [f32; 2] {
 impl DomeSampler for LatLong {
     fn draw(&self, point: &Point, n: u32, out: &mut Draws) {
         out.clear();
-        for i in 0..n.max(1) {
-            let [a, b] = point.numbers.square(i, n);
+        // Numbers first, then the look-ups: those of one direction don't wait for the numbers of the next, and the
+        // processor has several cache misses under way at once.
+        let mut numbers = std::mem::take(&mut out.prepared.indices);
+        numbers.clear();
+        numbers.extend((0..n.max(1)).flat_map(|i| point.numbers.square(i, n)));
+        for &[a, b] in numbers.as_chunks().0 {
             let row = self.rows.find(a);
             let cell = &self.cells[row.index as usize];
             let columns = self.columns[row.index as usize].as_ref().expect("a row that can be drawn is not black");
@@ -156,6 +160,7 @@ impl DomeSampler for LatLong {
             out.radiance.push(Vec3::from(self.dome.texels[texel]));
             out.pdf.push((cell.density * column.width as f64) as f32);
         }
+        out.prepared.indices = numbers;
     }
 
     fn pdf(&self, _point: &Point, _drawn: &Draws, _dir: Vec3, texel: u32) -> f32 {
