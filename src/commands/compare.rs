@@ -59,7 +59,7 @@ fn limit(text: &str) -> std::result::Result<f64, String> {
 }
 
 /// Runs the command; the exit code.
-pub(crate) fn run(args: Args) -> Result<u8> {
+pub(crate) fn run(args: &Args) -> Result<u8> {
     // Bad paths are found out before anything is computed.
     for path in [&args.diff, &args.html, &args.junit].into_iter().flatten() {
         check_writable(path)?;

@@ -18,7 +18,7 @@ pub(crate) struct Args {
 }
 
 /// Runs the command; the exit code.
-pub(crate) fn run(args: Args) -> Result<u8> {
+pub(crate) fn run(args: &Args) -> Result<u8> {
     let mut text = String::new();
     let mut add = |title: &str, plain: String, table: String| {
         // Writing to a String does not fail.
