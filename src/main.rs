@@ -1,3 +1,16 @@
-//! The command line.
+//! The `domelight` program: see `domelight --help`.
 
-fn main() {}
+mod cli;
+mod commands;
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    match cli::run() {
+        Ok(code) => ExitCode::from(code),
+        Err(error) => {
+            eprintln!("domelight: {error:#}");
+            ExitCode::from(2)
+        }
+    }
+}

@@ -2,7 +2,7 @@
 //! does not depend on threads or tiles.
 
 /// Mixes a 32-bit word (the "lowbias32" finaliser found by Chris Wellons' hash prospector).
-#[inline]
+#[inline(always)]
 pub fn mix(mut x: u32) -> u32 {
     x ^= x >> 16;
     x = x.wrapping_mul(0x21f0_aaad);
@@ -12,26 +12,26 @@ pub fn mix(mut x: u32) -> u32 {
 }
 
 /// Combines a hash with one more word.
-#[inline]
+#[inline(always)]
 pub fn combine(hash: u32, word: u32) -> u32 {
     mix(hash.wrapping_mul(0x9e37_79b9) ^ word.wrapping_add(0x6d2b_79f5))
 }
 
 /// A hash of several words.
-#[inline]
+#[inline(always)]
 pub fn hash(words: &[u32]) -> u32 {
     words.iter().fold(0x2545_f491, |h, &w| combine(h, w))
 }
 
 /// Uniform in [0, 1) with 24 bits, from the top of a word.
-#[inline]
+#[inline(always)]
 pub fn unit(word: u32) -> f32 {
     (word >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
 /// Owen scrambling of a 32-bit fraction by a hash (Laine & Karras 2011, constants from Vegdahl 2021): every binary
 /// digit is flipped by a function of the digits above it.
-#[inline]
+#[inline(always)]
 pub fn owen(x: u32, seed: u32) -> u32 {
     let mut x = x.reverse_bits();
     x ^= x.wrapping_mul(0x3d20_adea);

@@ -7,7 +7,7 @@ mod support;
 use domelight::sampler::{DomeSampler, Draws, Point, SAMPLERS, SamplerStats};
 use glam::Vec3;
 use rayon::prelude::*;
-use support::{chi_square, gamma_q, normals, sampler, sidak, study_domes};
+use support::samplers::{chi_square, gamma_q, normals, sampler, sidak, study_domes};
 
 const DRAWS: u32 = 8192;
 

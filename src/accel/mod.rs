@@ -5,6 +5,12 @@
 //! alpha-tested geometry ([`Scene::mesh_has_alpha`]) carry different mask bits; structures know nothing of textures:
 //! stepping through alpha hits is [`crate::integrator::visibility`]'s work.
 
+mod brute;
+mod bvh;
+#[cfg(feature = "embree")]
+mod embree;
+mod placement;
+
 use crate::error::Result;
 use crate::registry::{Params, Plugin};
 use crate::scene::Scene;
@@ -125,4 +131,15 @@ pub struct AccelStats {
 pub type MakeAccel = fn(&Arc<Scene>, &Params, threads: usize) -> Result<Box<dyn Accel>>;
 
 /// All acceleration structures; the first is the default.
-pub const ACCELS: &[Plugin<MakeAccel>] = &[];
+pub const ACCELS: &[Plugin<MakeAccel>] = &[
+    #[cfg(feature = "embree")]
+    embree::PLUGIN,
+    bvh::PLUGIN,
+    brute::PLUGIN,
+];
+
+/// Builds the structure that `spec` (`name:key=value,…`) asks for.
+pub fn build(spec: &str, scene: &Arc<Scene>, threads: usize) -> Result<Box<dyn Accel>> {
+    let (plugin, params) = crate::registry::resolve("accelerator", ACCELS, spec)?;
+    (plugin.make)(scene, &params, threads)
+}

@@ -1,4 +1,5 @@
-//! The commands, a file each: `Args` as clap reads them, `run` that gives the exit code.
+//! The subcommands, one a file. Each has its `Args` and a `run` that returns the exit code.
 
 pub(crate) mod compare;
 pub(crate) mod plugins;
+pub(crate) mod render;

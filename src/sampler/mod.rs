@@ -8,9 +8,14 @@
 //! The one way back: what the rays of a pass saw ([`DomeSampler::observe`]) reaches the draws of later stages, after
 //! [`DomeSampler::next_stage`]. Within a stage the sampler is frozen, so a draw never depends on its own rays.
 
+pub mod cells;
 pub mod cosine;
 pub mod latlong;
+pub mod preconvolution;
+pub mod shadow_cache;
 mod table;
+pub mod tessellated;
+pub mod tessellation;
 pub mod uniform;
 
 use crate::bsdf::Bsdf;
@@ -60,7 +65,7 @@ impl Numbers {
 
     /// The `i`-th of `n` stratified numbers in [i/n, (i + 1)/n) as a 32-bit fraction of the stratum: over the samples of
     /// a pixel each stratum is filled by a scrambled van der Corput sequence of its own.
-    #[inline]
+    #[inline(always)]
     pub fn within_stratum(&self, i: u32) -> u32 {
         let seed = random::combine(self.seed, i);
         let index = random::owen(self.sample, random::mix(seed ^ 0x68e3_1da4));
@@ -68,7 +73,7 @@ impl Numbers {
     }
 
     /// A random word for the `i`-th draw and a purpose of its own.
-    #[inline]
+    #[inline(always)]
     pub fn word(&self, i: u32, purpose: u32) -> u32 {
         random::hash(&[self.seed, self.sample, i, purpose])
     }
@@ -91,17 +96,20 @@ pub struct Draws {
     pub target: Vec<u32>,
     /// Scratch of the sampler's own: what it prepared for this point.
     pub prepared: Prepared,
+    /// Look-ups in the shadow cache since the last [`DomeSampler::tally`].
+    pub lookups: u64,
+    /// Look-ups that found a record.
+    pub found: u64,
 }
 
-/// What a sampler keeps of a point between [`DomeSampler::draw`] and [`DomeSampler::pdf`].
+/// What a sampler keeps of a point between [`DomeSampler::draw`] and [`DomeSampler::pdf`], and of a normal from point to
+/// point.
 #[derive(Debug, Default)]
 pub struct Prepared {
-    /// Cumulative integer widths.
-    pub cdf: Vec<u32>,
-    /// Floating-point scratch.
-    pub values: Vec<f32>,
-    /// Index scratch.
-    pub indices: Vec<u32>,
+    /// The tessellated sampler's weights of groups.
+    pub weights: tessellated::Weights,
+    /// The tessellated sampler's numbers on their way down the hierarchy.
+    pub block: tessellated::Block,
 }
 
 impl Draws {
@@ -147,7 +155,8 @@ pub struct CacheStats {
 /// Draws directions towards the dome. See the module for the contract.
 pub trait DomeSampler: Debug + Send + Sync {
     /// Draws at most `n` directions for `point` into `out` (cleared first). Fewer is allowed where fewer suffice, at
-    /// least one; directions below the horizon may be among them and carry their density like any other.
+    /// least one; directions below the horizon may be among them and carry their density like any other. A draw that
+    /// found no light points straight below with radiance 0: it counts, and that is all.
     fn draw(&self, point: &Point, n: u32, out: &mut Draws);
 
     /// The density with which [`Self::draw`] drew `dir`, which lies in `texel`, for the point that `drawn` holds.
@@ -158,8 +167,21 @@ pub trait DomeSampler: Debug + Send + Sync {
         false
     }
 
+    /// Whether its density is 0 where light comes from, so that directions drawn from the surface must cover that.
+    fn needs_partner(&self) -> bool {
+        false
+    }
+
+    /// Tiles must be a multiple of this many pixels wide and high, because what is learned is kept in such blocks.
+    fn tile_multiple(&self) -> u32 {
+        1
+    }
+
     /// Counts what rays saw: `targets` from [`Draws::target`], `occluded` 1 or 0.
     fn observe(&self, _targets: &[u32], _occluded: &[u8]) {}
+
+    /// Takes over what `draws` counted for the statistics.
+    fn tally(&self, _draws: &mut Draws) {}
 
     /// Ends a stage: what was observed so far is what draws go by from now on.
     fn next_stage(&mut self) {}
@@ -183,4 +205,4 @@ pub struct Setup {
 pub type MakeSampler = fn(&Arc<Dome>, &Params, &Setup) -> Result<Box<dyn DomeSampler>>;
 
 /// All dome samplers; the first is the default.
-pub const SAMPLERS: &[Plugin<MakeSampler>] = &[latlong::PLUGIN, cosine::PLUGIN, uniform::PLUGIN];
+pub const SAMPLERS: &[Plugin<MakeSampler>] = &[tessellated::PLUGIN, latlong::PLUGIN, cosine::PLUGIN, uniform::PLUGIN];

@@ -1,0 +1,295 @@
+//! A bounding volume hierarchy in Rust: eight children a node, four triangles a leaf, no library below it.
+//!
+//! Opaque and alpha-tested geometry stand in trees of their own, so that no mask is tested on the way: shadow rays
+//! through the opaque part never see a leaf of foliage. A top tree holds the triangles of the world and the boxes of
+//! the instances; each instanced mesh has a tree in its own space.
+//!
+//! `build` and `split` make the trees, `node` is what they are made of, `traverse` is a ray's way through them, and
+//! `portable`, `avx2` and `avx512` are the vector code it is written over, chosen when a structure is built.
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+mod build;
+mod node;
+mod portable;
+mod split;
+mod traverse;
+
+use super::placement::{self, Placement, Space};
+use super::{Accel, AccelStats, Coherence, Hit, MakeAccel, Mask, Ray};
+use crate::error::{Error, Result};
+use crate::registry::{Kind, Opt, Params, Plugin};
+use crate::scene::Scene;
+use build::{Primitive, Source};
+use glam::{Affine3A, Vec3};
+use node::Tree;
+use rayon::prelude::*;
+use std::borrow::Cow;
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+use traverse::{Kernel, Prepared, Stack, walk};
+
+/// The plugin.
+pub(super) const PLUGIN: Plugin<MakeAccel> = Plugin {
+    name: "bvh",
+    about: "a bounding volume hierarchy in Rust, without any library",
+    options: &[Opt {
+        key: "isa",
+        kind: Kind::Choice(&["best", "avx512", "avx2", "portable"]),
+        default: "best",
+        about: "which vector code; best asks the processor",
+    }],
+    make: |scene, params, threads| Ok(Box::new(Bvh::new(scene, params, threads)?)),
+};
+
+/// A shared mesh standing in the world.
+#[derive(Debug)]
+struct Placed {
+    /// World to mesh.
+    inverse: Affine3A,
+    /// Index into [`World::shared`].
+    tree: u32,
+    /// Index into [`Scene::instances`].
+    instance: u32,
+}
+
+/// All trees.
+#[derive(Debug, Default)]
+struct World {
+    /// Of the opaque geometry and of the rest.
+    tops: [Tree; 2],
+    /// Of the meshes that several instances show.
+    shared: Vec<Tree>,
+    placed: Vec<Placed>,
+}
+
+/// The batch calls of a kernel, chosen once.
+#[derive(Debug, Clone, Copy)]
+struct Questions {
+    closest: fn(&World, &[Ray], Mask, &mut [Hit]),
+    any: fn(&World, &[Ray], Mask, &mut [u8]),
+}
+
+#[derive(Debug)]
+struct Bvh {
+    world: World,
+    questions: Questions,
+    limit: f32,
+    stats: AccelStats,
+    invalid: AtomicU64,
+}
+
+impl World {
+    /// The trees that a mask sees.
+    #[inline(always)]
+    fn seen(&self, mask: Mask) -> impl Iterator<Item = &Tree> {
+        self.tops
+            .iter()
+            .enumerate()
+            .filter(move |(i, t)| mask as u32 >> i & 1 == 1 && !t.nodes.is_empty())
+            .map(|(_, t)| t)
+    }
+}
+
+/// The nearest hits of a batch.
+#[inline(always)]
+fn closest<K: Kernel>(world: &World, rays: &[Ray], mask: Mask, hits: &mut [Hit]) {
+    let mut stack = Stack::new();
+    for (ray, hit) in rays.iter().zip(hits) {
+        *hit = Hit::MISS;
+        for tree in world.seen(mask) {
+            let mut prepared = Prepared::new(ray, tree.extent);
+            prepared.tfar = prepared.tfar.min(hit.t);
+            walk::<K, false, true>(world, tree, &mut prepared, &mut stack, 0, hit);
+        }
+    }
+}
+
+/// Whether anything lies on the rays of a batch.
+#[inline(always)]
+fn any<K: Kernel>(world: &World, rays: &[Ray], mask: Mask, occluded: &mut [u8]) {
+    let mut stack = Stack::new();
+    for (ray, answer) in rays.iter().zip(occluded) {
+        let mut hit = Hit::MISS;
+        let mut seen = world.seen(mask);
+        *answer = seen
+            .any(|tree| {
+                let mut prepared = Prepared::new(ray, tree.extent);
+                walk::<K, true, true>(world, tree, &mut prepared, &mut stack, 0, &mut hit)
+            })
+            .into();
+    }
+}
+
+fn questions(isa: &str) -> Result<Questions> {
+    #[cfg(target_arch = "x86_64")]
+    let (avx512, avx2) = (avx512::questions(), avx2::questions());
+    #[cfg(not(target_arch = "x86_64"))]
+    let (avx512, avx2) = (None, None);
+    let missing = || Error::Accel(format!("bvh: this processor has no {isa}: use isa=best"));
+    match isa {
+        "avx512" => avx512.ok_or_else(missing),
+        "avx2" => avx2.ok_or_else(missing),
+        "portable" => Ok(portable::QUESTIONS),
+        _ => Ok(avx512.or(avx2).unwrap_or(portable::QUESTIONS)),
+    }
+}
+
+/// A scene's geometry as the builder reads it: `Primitive::item` is an index into `parts`.
+struct Parts<'a> {
+    parts: Vec<Part<'a>>,
+}
+
+struct Part<'a> {
+    positions: Cow<'a, [Vec3]>,
+    indices: &'a [[u32; 3]],
+    instance: u32,
+}
+
+impl Source for Parts<'_> {
+    fn triangle(&self, primitive: &Primitive) -> ([Vec3; 3], u32) {
+        let part = &self.parts[primitive.item as usize];
+        let corners = part.indices[primitive.triangle as usize].map(|i| part.positions[i as usize]);
+        (corners, part.instance)
+    }
+}
+
+impl<'a> Parts<'a> {
+    fn of(scene: &'a Scene, placements: &[&Placement]) -> Self {
+        let part = |placement: &&Placement| Part {
+            positions: placement.positions(scene),
+            indices: &scene.meshes[placement.mesh as usize].indices,
+            instance: placement.instance,
+        };
+        Self { parts: placements.iter().map(part).collect() }
+    }
+
+    fn triangles(&self) -> usize {
+        self.parts.iter().map(|p| p.indices.len()).sum()
+    }
+
+    /// A primitive for every triangle that has a place.
+    fn primitives(&self, room: usize) -> Vec<Primitive> {
+        let mut primitives = Vec::with_capacity(self.triangles() + room);
+        for (item, part) in self.parts.iter().enumerate() {
+            let triangles = part.indices.par_iter().enumerate().map(|(triangle, indices)| {
+                let [a, b, c] = indices.map(|i| part.positions[i as usize]);
+                let (mut low, high) = (a.min(b).min(c), a.max(b).max(c));
+                if ![a, b, c].into_iter().all(placement::usable) {
+                    low.x = Primitive::ABSENT;
+                }
+                Primitive { low, item: item as u32, high, triangle: triangle as u32 }
+            });
+            primitives.par_extend(triangles);
+        }
+        if primitives.par_iter().any(|p| p.low.x == Primitive::ABSENT) {
+            primitives.retain(|p| p.low.x != Primitive::ABSENT);
+        }
+        primitives
+    }
+}
+
+impl Bvh {
+    fn new(scene: &Arc<Scene>, params: &Params, threads: usize) -> Result<Self> {
+        let start = Instant::now();
+        let questions = questions(params.word("isa"))?;
+        let placements = placement::place(scene)?;
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.max(1)).build();
+        let pool = pool.map_err(|e| Error::Accel(format!("bvh: cannot start {threads} threads: {e}")))?;
+        let (world, triangles, peak) = pool.install(|| World::new(scene, &placements))?;
+        let trees = world.tops.iter().chain(&world.shared);
+        let bytes = trees.map(Tree::bytes).sum::<u64>() + size_of_val(world.placed.as_slice()) as u64;
+        let build_s = start.elapsed().as_secs_f64();
+        let stats = AccelStats { build_s, triangles, bytes, peak_bytes: peak.max(bytes), invalid_rays: 0 };
+        Ok(Self { world, questions, limit: placement::ray_limit(&placements), stats, invalid: AtomicU64::new(0) })
+    }
+}
+
+impl World {
+    /// Also returns the number of triangles and the most bytes held.
+    fn new(scene: &Scene, placements: &[Placement]) -> Result<(Self, u64, u64)> {
+        let mut world = Self::default();
+        let (mut triangles, mut peak, mut held) = (0, 0, 0);
+        let mut numbers = HashMap::new();
+        let mut instances = [Vec::new(), Vec::new()];
+        for placement in placements {
+            let Space::Shared(inverse) = placement.space else { continue };
+            let tree = *numbers.entry(placement.mesh).or_insert_with(|| {
+                let parts = Parts::of(scene, &[placement]);
+                let (tree, bytes) = grow(&parts, Vec::new());
+                triangles += parts.triangles() as u64;
+                peak = peak.max(held + bytes);
+                held += tree.bytes();
+                world.shared.push(tree);
+                world.shared.len() as u32 - 1
+            });
+            let Some(bounds) = world.shared[tree as usize].bounds() else { continue };
+            let (low, high) = moved(&bounds, &scene.instances[placement.instance as usize].transform, &inverse);
+            let item = world.placed.len() as u32;
+            world.placed.push(Placed { inverse, tree, instance: placement.instance });
+            instances[placement.mask as usize - 1].push(Primitive {
+                low,
+                item,
+                high,
+                triangle: Primitive::IS_INSTANCE,
+            });
+        }
+        for (index, instances) in instances.into_iter().enumerate() {
+            let own = |p: &&Placement| p.mask as usize - 1 == index && !matches!(p.space, Space::Shared(_));
+            let parts = Parts::of(scene, &placements.iter().filter(own).collect::<Vec<_>>());
+            if parts.triangles() + instances.len() >= node::INSTANCE as usize {
+                return Err(Error::Accel("bvh: more than 2^30 triangles: use --accel embree".to_owned()));
+            }
+            let (tree, bytes) = grow(&parts, instances);
+            triangles += parts.triangles() as u64;
+            peak = peak.max(held + bytes);
+            held += tree.bytes();
+            world.tops[index] = tree;
+        }
+        Ok((world, triangles, peak))
+    }
+}
+
+/// A tree over the parts' triangles and some instances, and the most bytes that took.
+fn grow(parts: &Parts<'_>, instances: Vec<Primitive>) -> (Tree, u64) {
+    let mut primitives = parts.primitives(instances.len());
+    primitives.extend(instances);
+    let (tree, bytes) = build::build(parts, &mut primitives);
+    let peak = bytes + size_of_val(primitives.as_slice()) as u64;
+    (tree, peak)
+}
+
+/// The world box of a box in an instance's space, widened by what the rays' way into that space may lose.
+fn moved(bounds: &node::Aabb, transform: &Affine3A, inverse: &Affine3A) -> (Vec3, Vec3) {
+    let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    for corner in 0..8 {
+        let pick = |axis: usize| if corner >> axis & 1 == 1 { bounds.high[axis] } else { bounds.low[axis] };
+        let p = transform.transform_point3(Vec3::new(pick(0), pick(1), pick(2)));
+        (low, high) = (low.min(p), high.max(p));
+    }
+    let _ = inverse;
+    let pad = (low.abs().max(high.abs()) + transform.translation.abs().max_element()) * 4.0 * f32::EPSILON;
+    (low - pad, high + pad)
+}
+
+impl Accel for Bvh {
+    fn intersect(&self, rays: &[Ray], mask: Mask, _: Coherence, hits: &mut [Hit]) {
+        assert_eq!(rays.len(), hits.len(), "a hit for every ray");
+        let rays = placement::traceable(rays, self.limit, &self.invalid);
+        (self.questions.closest)(&self.world, &rays, mask, hits);
+    }
+
+    fn occluded(&self, rays: &[Ray], mask: Mask, occluded: &mut [u8]) {
+        assert_eq!(rays.len(), occluded.len(), "an answer for every ray");
+        let rays = placement::traceable(rays, self.limit, &self.invalid);
+        (self.questions.any)(&self.world, &rays, mask, occluded);
+    }
+
+    fn stats(&self) -> AccelStats {
+        AccelStats { invalid_rays: self.invalid.load(Ordering::Relaxed), ..self.stats }
+    }
+}

@@ -1,0 +1,140 @@
+//! What the tree is made of: nodes of eight children and blocks of four triangles, both laid out for vectors.
+//!
+//! A node is 256 bytes: the planes of eight boxes, eight references, and for each of the eight octants of directions
+//! the order in which its rays pass the children. Sorting by that order at a visit takes one permutation instead of a
+//! sort by distance.
+
+use glam::Vec3A;
+
+/// Children of a node.
+pub(super) const WIDTH: usize = 8;
+/// Triangles of a block.
+pub(super) const BLOCK: usize = 4;
+/// Marks a reference as a leaf: a block of triangles.
+pub(super) const LEAF: u32 = 1 << 31;
+/// Marks a leaf as an instance.
+pub(super) const INSTANCE: u32 = 1 << 30;
+
+/// Least and greatest corner.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Aabb {
+    pub(super) low: Vec3A,
+    pub(super) high: Vec3A,
+}
+
+impl Aabb {
+    /// Contains nothing, not even a point.
+    pub(super) const EMPTY: Self = Self { low: Vec3A::INFINITY, high: Vec3A::NEG_INFINITY };
+
+    #[inline]
+    pub(super) fn extend(&mut self, low: Vec3A, high: Vec3A) {
+        self.low = self.low.min(low);
+        self.high = self.high.max(high);
+    }
+
+    #[inline]
+    pub(super) fn union(mut self, other: Self) -> Self {
+        self.extend(other.low, other.high);
+        self
+    }
+
+    /// Half the surface; 0 for an empty box.
+    #[inline]
+    pub(super) fn half_area(&self) -> f32 {
+        let size = (self.high - self.low).max(Vec3A::ZERO);
+        size.x * size.y + size.y * size.z + size.z * size.x
+    }
+}
+
+/// Eight boxes and where they lead.
+#[derive(Debug, Clone, Copy, bytemuck::Zeroable)]
+#[repr(C, align(64))]
+pub(super) struct Node {
+    /// Lower x, y, z, upper x, y, z of each child; an absent child's lower planes are at +∞, its upper at −∞.
+    pub(super) planes: [[f32; WIDTH]; 6],
+    /// A node's index, or [`LEAF`] and a block's, or [`LEAF`] | [`INSTANCE`] and an instance's.
+    pub(super) children: [u32; WIDTH],
+    /// Bits 3·o … 3·o + 2 of entry i: which child an octant o's ray passes as its (8 − i)-th.
+    pub(super) order: [u32; WIDTH],
+}
+
+impl Node {
+    /// A node over boxes; the references are filled in later.
+    pub(super) fn new(boxes: &[Aabb]) -> Self {
+        let mut planes = [[f32::INFINITY; WIDTH]; 6];
+        planes[3..].fill([f32::NEG_INFINITY; WIDTH]);
+        for (lane, aabb) in boxes.iter().enumerate() {
+            for axis in 0..3 {
+                planes[axis][lane] = aabb.low[axis];
+                planes[axis + 3][lane] = aabb.high[axis];
+            }
+        }
+        Self { planes, children: [0; WIDTH], order: order(boxes) }
+    }
+}
+
+/// The children from far to near for each octant; absent ones come last in every order.
+fn order(boxes: &[Aabb]) -> [u32; WIDTH] {
+    let mut packed = [0u32; WIDTH];
+    // Octants in opposite pairs have opposite orders.
+    for octant in 0..4u32 {
+        let sign = |axis: u32| if octant >> axis & 1 == 1 { -1.0 } else { 1.0 };
+        let dir = Vec3A::new(sign(0), sign(1), sign(2));
+        let mut keys = [(0.0f32, 0u32); WIDTH];
+        for (lane, key) in keys.iter_mut().enumerate() {
+            *key = (boxes.get(lane).map_or(0.0, |b| (b.low + b.high).dot(dir)), lane as u32);
+        }
+        let present = &mut keys[..boxes.len()];
+        present.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
+        let n = present.len();
+        for i in 0..WIDTH {
+            let opposite = if i < n { keys[n - 1 - i].1 } else { keys[i].1 };
+            packed[i] |= keys[i].1 << (3 * octant) | opposite << (3 * (7 - octant));
+        }
+    }
+    packed
+}
+
+/// Four triangles: `corners[vertex][axis][lane]`. Lanes without a triangle are points, which nothing meets.
+#[derive(Debug, Clone, Copy, bytemuck::Zeroable)]
+#[repr(C, align(16))]
+pub(super) struct Block {
+    pub(super) corners: [[[f32; BLOCK]; 3]; 3],
+}
+
+/// What the triangles of a block are; read only on a hit.
+#[derive(Debug, Clone, Copy, bytemuck::Zeroable)]
+#[repr(C)]
+pub(super) struct Ids {
+    pub(super) instance: [u32; BLOCK],
+    pub(super) triangle: [u32; BLOCK],
+}
+
+/// A tree; without nodes it is empty, otherwise node 0 is the root.
+#[derive(Debug, Default)]
+pub(super) struct Tree {
+    pub(super) nodes: Vec<Node>,
+    pub(super) blocks: Vec<Block>,
+    pub(super) ids: Vec<Ids>,
+    /// The largest |coordinate| of its boxes.
+    pub(super) extent: f32,
+}
+
+impl Tree {
+    /// The box of everything in it.
+    pub(super) fn bounds(&self) -> Option<Aabb> {
+        let root = self.nodes.first()?;
+        let row = |row: usize| root.planes[row].iter().copied();
+        let low = Vec3A::from([0, 1, 2].map(|axis| row(axis).fold(f32::INFINITY, f32::min)));
+        let high = Vec3A::from([3, 4, 5].map(|axis| row(axis).fold(f32::NEG_INFINITY, f32::max)));
+        Some(Aabb { low, high })
+    }
+
+    /// Bytes held.
+    pub(super) fn bytes(&self) -> u64 {
+        (size_of_val(self.nodes.as_slice()) + size_of_val(self.blocks.as_slice()) + size_of_val(self.ids.as_slice()))
+            as u64
+    }
+}
+
+const _: () = assert!(size_of::<Node>() == 256 && size_of::<Block>() == 144 && size_of::<Ids>() == 32);

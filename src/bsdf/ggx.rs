@@ -1,0 +1,135 @@
+//! The GGX lobe: density of visible normals (Heitz 2018, drawn by the spherical-cap construction of Dupuy & Benyoub
+//! 2023), Smith's height-correlated visibility.
+//!
+//! Everything happens in a local frame whose z is the shading normal, and 1 − (n·h)² is taken from h's x and y: at α =
+//! 1e-4 the subtraction would have no digits left.
+
+use super::Specular;
+use glam::Vec3;
+use std::f32::consts::{PI, TAU};
+
+/// An orthonormal frame around a unit normal (Duff et al. 2017).
+#[derive(Debug, Clone, Copy)]
+pub struct Frame {
+    x: Vec3,
+    y: Vec3,
+    z: Vec3,
+}
+
+impl Frame {
+    /// The frame of a unit normal.
+    pub fn new(z: Vec3) -> Self {
+        let sign = 1f32.copysign(z.z);
+        let a = -1.0 / (sign + z.z);
+        let b = z.x * z.y * a;
+        Self {
+            x: Vec3::new(1.0 + sign * z.x * z.x * a, sign * b, -sign * z.x),
+            y: Vec3::new(b, sign + z.y * z.y * a, -z.y),
+            z,
+        }
+    }
+
+    /// World to local.
+    pub fn to_local(&self, v: Vec3) -> Vec3 {
+        Vec3::new(self.x.dot(v), self.y.dot(v), self.z.dot(v))
+    }
+
+    /// Local to world.
+    pub fn to_world(&self, v: Vec3) -> Vec3 {
+        self.x * v.x + self.y * v.y + self.z * v.z
+    }
+}
+
+/// Smith's Λ for a local direction.
+fn lambda(v: Vec3, alpha: f32) -> f32 {
+    let tangent2 = (v.x * v.x + v.y * v.y) / (v.z * v.z).max(f32::MIN_POSITIVE);
+    0.5 * ((1.0 + alpha * alpha * tangent2).sqrt() - 1.0)
+}
+
+/// The distribution of normals at a local half vector, sr⁻¹.
+fn distribution(h: Vec3, alpha: f32) -> f32 {
+    let a2 = alpha * alpha;
+    let d = h.z * h.z * a2 + h.x * h.x + h.y * h.y;
+    a2 / (PI * d * d)
+}
+
+/// The specular reflectance for local directions, sr⁻¹ (no cosine), and the density with which [`sample`] draws `wi`.
+pub fn eval(lobe: &Specular, wo: Vec3, wi: Vec3) -> (Vec3, f32) {
+    if wo.z <= 0.0 || wi.z <= 0.0 {
+        return (Vec3::ZERO, 0.0);
+    }
+    let h = (wo + wi).normalize_or_zero();
+    let d = distribution(h, lobe.alpha);
+    let (out, into) = (lambda(wo, lobe.alpha), lambda(wi, lobe.alpha));
+    let f = lobe.fresnel(wo.dot(h)) * (d / ((1.0 + out + into) * 4.0 * wo.z * wi.z));
+    (f, d / ((1.0 + out) * 4.0 * wo.z))
+}
+
+/// A direction drawn by the density of visible normals for `u` in the unit square, its density, and the weight
+/// f·cos/density, which needs no D and is finite however narrow the lobe. `None` below the horizon (the weight is 0).
+pub fn sample(lobe: &Specular, wo: Vec3, u: [f32; 2]) -> Option<(Vec3, f32, Vec3)> {
+    if wo.z <= 0.0 {
+        return None;
+    }
+    let alpha = lobe.alpha;
+    let stretched = Vec3::new(alpha * wo.x, alpha * wo.y, wo.z).normalize();
+    let (sin, cos) = (TAU * u[0]).sin_cos();
+    // A point on the cap that the stretched hemisphere reflects.
+    let z = (1.0 - u[1]) * (1.0 + stretched.z) - stretched.z;
+    let ring = (1.0 - z * z).clamp(0.0, 1.0).sqrt();
+    let h = Vec3::new(ring * cos, ring * sin, z) + stretched;
+    let h = Vec3::new(alpha * h.x, alpha * h.y, h.z.max(0.0)).normalize_or_zero();
+    let wi = (2.0 * wo.dot(h) * h - wo).normalize_or_zero();
+    if wi.z <= 0.0 {
+        return None;
+    }
+    let (out, into) = (lambda(wo, alpha), lambda(wi, alpha));
+    let density = distribution(h, alpha) / ((1.0 + out) * 4.0 * wo.z);
+    Some((wi, density, lobe.fresnel(wo.dot(h)) * ((1.0 + out) / (1.0 + out + into))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random;
+
+    fn lobe(alpha: f32) -> Specular {
+        Specular { alpha, f0: Vec3::splat(0.04), f90: 1.0, dielectric_f0: 0.04, dielectric_f90: 1.0 }
+    }
+
+    #[test]
+    fn weights_are_reflectance_times_cosine_over_density() {
+        for alpha in [1e-4, 0.01, 0.25, 1.0] {
+            for wo in [Vec3::Z, Vec3::new(0.6, 0.0, 0.8), Vec3::new(0.3, -0.9, 0.2).normalize()] {
+                for i in 0..200 {
+                    let u = random::sobol2(i, 1).map(random::unit);
+                    let Some((wi, density, weight)) = sample(&lobe(alpha), wo, u) else { continue };
+                    let (f, pdf) = eval(&lobe(alpha), wo, wi);
+                    // A narrow lobe's half vector comes back from f32 directions with few digits.
+                    let tolerance = 1e-3 + 3e-7 / alpha;
+                    assert!((pdf / density - 1.0).abs() < 4.0 * tolerance, "α {alpha}: {pdf} {density}");
+                    let ratio = f * wi.z / pdf / weight;
+                    assert!((ratio - 1.0).abs().max_element() < 4.0 * tolerance, "α {alpha}: {ratio}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn density_integrates_to_what_stays_above_the_horizon() {
+        for alpha in [0.1, 0.5, 1.0] {
+            let wo = Vec3::new(0.6, 0.0, 0.8);
+            let n = 1 << 18;
+            let (mut integral, mut above) = (0.0, 0);
+            for i in 0..n {
+                let [x, y] = random::sobol2(i, 7).map(random::unit);
+                let ring = (1.0 - y * y).sqrt();
+                let wi = Vec3::new(ring * (TAU * x).cos(), ring * (TAU * x).sin(), y);
+                integral += f64::from(eval(&lobe(alpha), wo, wi).1 * TAU);
+                above += u32::from(sample(&lobe(alpha), wo, [x, y]).is_some());
+            }
+            let (integral, above) = (integral / f64::from(n), f64::from(above) / f64::from(n));
+            assert!((integral - above).abs() < 0.01, "α {alpha}: {integral} {above}");
+        }
+    }
+}

@@ -1,0 +1,208 @@
+//! `domelight bench rays`: how fast the acceleration structures build and answer, side by side.
+//!
+//! Every structure gets the same rays, in the batches a render uses, and takes its turn in every round. Answers are
+//! compared ray by ray: a benchmark of wrong answers is worth nothing.
+
+mod generate;
+mod measure;
+mod rays;
+mod report;
+
+use anyhow::{Context, bail};
+use domelight::accel::{self, ACCELS, Accel};
+use domelight::scene::Scene;
+use measure::{KINDS, Sample};
+use serde::Serialize;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// Rays that may be answered differently, of a million: edges seen exactly from the side.
+const TOLERANCE: f64 = 5e-6;
+
+/// Options of `domelight bench rays`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Scenes to measure (.gltf, .glb)
+    pub(crate) scenes: Vec<PathBuf>,
+    /// Scenes made on the spot: terrain:N, soup:N or forest:N (instances) with about N triangles (10k … 10M)
+    #[arg(long, value_name = "KIND:N")]
+    pub(crate) generate: Vec<String>,
+    /// Structures to compare [default: all but the brute-force one]
+    #[arg(long, value_name = "NAME:KEY=VALUE,…")]
+    pub(crate) accel: Vec<String>,
+    /// Rays of each kind
+    #[arg(long, default_value_t = 1 << 20, value_parser = clap::value_parser!(u32).range(256..))]
+    pub(crate) rays: u32,
+    /// Measured rounds after the one that warms up
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) rounds: u32,
+    /// Threads of the parallel runs [default: all]
+    #[arg(long, default_value_t = 0)]
+    pub(crate) threads: usize,
+    /// Write the figures as JSON
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+    /// Write the figures as CSV
+    #[arg(long, value_name = "FILE")]
+    pub(crate) csv: Option<PathBuf>,
+    /// Write the rates as bars
+    #[arg(long, value_name = "FILE")]
+    pub(crate) svg: Option<PathBuf>,
+}
+
+/// One figure.
+#[derive(Debug, Clone, Serialize)]
+struct Row {
+    scene: String,
+    triangles: u64,
+    accel: String,
+    what: &'static str,
+    threads: usize,
+    value: f64,
+    unit: &'static str,
+    spread: f64,
+    /// This figure over that of the first Embree in the list.
+    ratio: Option<f64>,
+}
+
+/// Runs the benchmark.
+pub(crate) fn run(args: Args) -> anyhow::Result<()> {
+    let threads = match args.threads {
+        0 => std::thread::available_parallelism().map_or(1, Into::into),
+        n => n,
+    };
+    let specs = if args.accel.is_empty() { default_specs() } else { args.accel.clone() };
+    for spec in &specs {
+        domelight::registry::resolve("accelerator", ACCELS, spec)?;
+    }
+    if args.scenes.is_empty() && args.generate.is_empty() {
+        bail!("no scene: name a .gltf or .glb file, or --generate terrain:300k");
+    }
+    let mut all = Vec::new();
+    // A path that can't be written fails now, not after the measurements.
+    report::write(&all, args.json.as_deref(), args.csv.as_deref(), args.svg.as_deref())?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().context("cannot start the threads")?;
+    let bench = Bench { args: &args, specs: &specs, threads, pool: &pool };
+    let mut agreed = true;
+    let names: Vec<String> = args.scenes.iter().map(|p| p.display().to_string()).collect();
+    for (index, name) in names.iter().chain(&args.generate).enumerate() {
+        let scene = match args.scenes.get(index) {
+            Some(path) => bail!("{}: scene files come with the loader", path.display()),
+            None => generate::generate(name)?,
+        };
+        let (rows, same) = bench.scene(name, &Arc::new(scene))?;
+        agreed &= same;
+        all.extend(rows);
+        report::write(&all, args.json.as_deref(), args.csv.as_deref(), args.svg.as_deref())?;
+    }
+    bench.overhead()?;
+    if !agreed {
+        eprintln!("error: the structures disagree");
+        std::process::exit(1);
+    }
+    Ok(())
+}
+
+/// Embree one ray a call (the bar) beside every structure as it is used.
+fn default_specs() -> Vec<String> {
+    ACCELS.iter().map(|p| p.name.to_owned()).filter(|name| name != "brute").collect()
+}
+
+struct Bench<'a> {
+    args: &'a Args,
+    specs: &'a [String],
+    threads: usize,
+    pool: &'a rayon::ThreadPool,
+}
+
+impl Bench<'_> {
+    /// Measures one scene; false where answers differ.
+    fn scene(&self, name: &str, scene: &Arc<Scene>) -> anyhow::Result<(Vec<Row>, bool)> {
+        let triangles = scene.triangle_count();
+        println!("{name}: {triangles} triangles, {} instances", scene.instances.len());
+        let mut rows = Vec::new();
+        let mut built: Vec<Box<dyn Accel>> = Vec::new();
+        let row = |spec: &str, what, threads, sample: Sample, unit| Row {
+            scene: name.to_owned(),
+            triangles,
+            accel: spec.to_owned(),
+            what,
+            threads,
+            value: sample.median,
+            unit,
+            spread: sample.spread,
+            ratio: None,
+        };
+        for spec in self.specs {
+            let mut last = None;
+            for threads in if self.threads == 1 { vec![1] } else { vec![1, self.threads] } {
+                let mut seconds = Vec::new();
+                for _ in 0..if triangles < 1_000_000 { 3 } else { 2 } {
+                    drop(last.take());
+                    let accel = accel::build(spec, scene, threads)?;
+                    seconds.push(accel.stats().build_s);
+                    last = Some(accel);
+                }
+                rows.push(row(spec, "build", threads, Sample::of(seconds), "s"));
+            }
+            let accel = last.context("nothing was built")?;
+            let stats = accel.stats();
+            for (what, bytes) in [("held", stats.bytes), ("peak", stats.peak_bytes)] {
+                let sample = Sample { median: bytes as f64 / stats.triangles.max(1) as f64, spread: 0.0 };
+                rows.push(row(spec, what, self.threads, sample, "B/tri"));
+            }
+            built.push(accel);
+        }
+        let accels: Vec<&dyn Accel> = built.iter().map(|a| &**a).collect();
+        let sets = rays::make(scene, accels[0], self.args.rays as usize);
+        let mut agreed = true;
+        for kind in KINDS {
+            let rays = kind.rays(&sets);
+            for (spec, accel) in self.specs.iter().zip(&accels).skip(1) {
+                let wrong = kind.disagreements(accels[0], *accel, rays);
+                if wrong as f64 > TOLERANCE * rays.len() as f64 {
+                    println!(
+                        "error: {} and {spec} answer {wrong} of {} {} rays differently",
+                        self.specs[0],
+                        rays.len(),
+                        kind.name()
+                    );
+                    agreed = false;
+                }
+            }
+            for pool in if self.threads == 1 { vec![None] } else { vec![None, Some(self.pool)] } {
+                let samples = measure::rates(kind, &accels, rays, pool, self.args.rounds as usize);
+                let threads = if pool.is_some() { self.threads } else { 1 };
+                for (spec, sample) in self.specs.iter().zip(samples) {
+                    rows.push(row(spec, kind.name(), threads, sample, "Mrays/s"));
+                }
+            }
+        }
+        compare(&mut rows);
+        report::print(&rows);
+        let noisy = rows.iter().filter(|r| r.unit == "Mrays/s" && r.spread > 0.1).count();
+        if noisy > 0 {
+            println!("warning: {noisy} figures vary by more than 10 %: close other programs, or give more --rounds\n");
+        }
+        Ok((rows, agreed))
+    }
+
+    /// What a call costs when there is nothing to meet.
+    fn overhead(&self) -> anyhow::Result<()> {
+        let empty = Arc::new(Scene::default());
+        for spec in self.specs {
+            let accel = accel::build(spec, &empty, 1)?;
+            println!("{spec:<34} {:.1} ns a call on an empty scene", measure::overhead(&*accel));
+        }
+        Ok(())
+    }
+}
+
+/// Fills in the ratios to the first Embree of the list.
+fn compare(rows: &mut [Row]) {
+    let bars: Vec<_> = rows.iter().filter(|r| r.accel.starts_with("embree")).cloned().collect();
+    for row in rows {
+        let bar = bars.iter().find(|b| b.what == row.what && b.threads == row.threads);
+        row.ratio = bar.filter(|b| b.value > 0.0).map(|b| row.value / b.value);
+    }
+}

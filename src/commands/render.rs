@@ -1,0 +1,147 @@
+//! `domelight render`: an asset and a dome become images.
+
+mod args;
+mod progress;
+mod report;
+
+pub(crate) use args::Args;
+
+use anyhow::{Context, Result, bail};
+use domelight::accel::ACCELS;
+use domelight::dome;
+use domelight::error::Error;
+use domelight::film::Aov;
+use domelight::hash::sha256_file;
+use domelight::integrator::INTEGRATORS;
+use domelight::output::{self, Frame, Layer, Output};
+use domelight::registry::{Params, resolve};
+use domelight::render::{Picture, Render, Watch};
+use domelight::sampler::{SAMPLERS, Setup};
+use domelight::scene::{self, View};
+use progress::Progress;
+use report::{Report, Times};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+/// Set by the first ^C; the second ends the process.
+static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+pub(crate) fn run(args: &Args) -> Result<u8> {
+    // Everything that can be wrong with the options is found before anything is loaded.
+    let settings = args.settings()?;
+    let (make_accel, accel_params) = resolve("accelerator", ACCELS, &args.accel)?;
+    let (make_sampler, sampler_params) = resolve("sampler", SAMPLERS, &args.sampler)?;
+    let (make_integrator, integrator_params) = resolve("integrator", INTEGRATORS, &args.integrator)?;
+    let aovs = args.aovs()?;
+    let outputs = outputs(args)?;
+    let threads = args.threads();
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("starting threads")?;
+    let mut times = Times::default();
+
+    let clock = Instant::now();
+    let scene = Arc::new(scene::load(&args.scene_file, &args.load_options())?);
+    times.load_s = clock.elapsed().as_secs_f64();
+    args.say_warnings(&scene);
+
+    let clock = Instant::now();
+    let dome = Arc::new(dome::load::load(&args.dome, args.dome_rotate, args.dome_scale)?);
+    times.dome_s = clock.elapsed().as_secs_f64();
+    args.say_dome(&dome);
+    let setup = Setup { size: settings.size, gloss: scene.needs.gloss, rays: settings.rays };
+    let mut sampler = (make_sampler.make)(&dome, &sampler_params, &setup)?;
+    times.prepare_s = sampler.stats().prepare_s;
+
+    let clock = Instant::now();
+    let accel = (make_accel.make)(&scene, &accel_params, threads)?;
+    times.build_s = clock.elapsed().as_secs_f64();
+    args.say_scene(&scene, accel.as_ref());
+
+    let aspect = settings.size[0] as f32 / settings.size[1] as f32;
+    let camera = args.camera()?.resolve(&scene, aspect)?;
+    let view = View::new(&camera, settings.size[0], settings.size[1]);
+    let integrator = (make_integrator.make)(&integrator_params)?;
+    let progress = Progress::start(args.progress());
+    let render = Render {
+        scene: &scene,
+        accel: accel.as_ref(),
+        dome: &dome,
+        integrator: integrator.as_ref(),
+        view: &view,
+        settings,
+    };
+    watch_interrupts()?;
+    let clock = Instant::now();
+    let picture = render.run(sampler.as_mut(), Watch { finish: &INTERRUPTED, progress: &|share| progress.tell(share) });
+    times.render_s = clock.elapsed().as_secs_f64();
+    progress.finish();
+
+    let report = Report {
+        times,
+        params: [&accel_params, &sampler_params, &integrator_params].map(Params::to_string),
+        scene_sha256: sha256_file(&args.scene_file)?,
+        dome_sha256: sha256_file(&args.dome)?,
+        seed: settings.seed,
+        rays: settings.rays,
+        threads,
+        scene: &scene,
+        dome: &dome,
+        accel: accel.stats(),
+        sampler: sampler.stats(),
+        picture: &picture,
+    };
+    let frame = frame(&picture, &aovs, &settings.size, report.metadata());
+    for (path, output) in &outputs {
+        output.write(path, &frame)?;
+    }
+    if let Some(path) = &args.stats {
+        output::write_atomically(path, |file| {
+            serde_json::to_writer_pretty(&mut *file, &report.json()).map_err(std::io::Error::from)?;
+            std::io::Write::write_all(file, b"\n")
+        })?;
+    }
+    args.say_report(&report);
+    Ok(if INTERRUPTED.load(Ordering::Relaxed) { 130 } else { 0 })
+}
+
+/// Opens every output's plugin and makes sure that its file can be written.
+fn outputs(args: &Args) -> Result<Vec<(&Path, Box<dyn Output>)>> {
+    if args.output.is_empty() {
+        bail!(Error::Option("nowhere to write: give at least one -o FILE.exr or -o FILE.png".to_owned()));
+    }
+    let mut outputs: Vec<(&Path, Box<dyn Output>)> = Vec::new();
+    for path in &args.output {
+        // Only pictures for screens are tone-mapped.
+        let png = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
+        let options = if png { format!("tonemap={},exposure={}", args.tonemap, args.exposure) } else { String::new() };
+        outputs.push((path, output::for_path(path, &options)?));
+        output::check_writable(path)?;
+    }
+    if let Some(path) = &args.stats {
+        output::check_writable(path)?;
+    }
+    Ok(outputs)
+}
+
+fn frame(picture: &Picture, aovs: &[Aov], full: &[u32; 2], metadata: Vec<(String, String)>) -> Frame {
+    let film = &picture.film;
+    let mut layers = vec![Layer { name: String::new(), channels: vec!["R", "G", "B", "A"], pixels: film.rgba() }];
+    layers.extend(aovs.iter().map(|&aov| Layer {
+        name: aov.name().to_owned(),
+        channels: aov.channels().to_vec(),
+        pixels: film.layer(aov),
+    }));
+    Frame { width: film.size[0], height: film.size[1], offset: film.offset, full: *full, layers, metadata }
+}
+
+fn watch_interrupts() -> Result<()> {
+    ctrlc::set_handler(|| {
+        if INTERRUPTED.swap(true, Ordering::Relaxed) {
+            // The second time: now. Outputs are renamed into place when whole, so nothing is half-written.
+            std::process::exit(130);
+        }
+        eprintln!("\ndomelight: finishing this pass; again to stop at once");
+    })
+    .context("watching for ^C")
+}

@@ -1,0 +1,309 @@
+//! The options of `render`, and what they mean.
+
+use super::progress::Mode;
+use super::report::Report;
+use anyhow::{Result, bail};
+use clap::builder::PossibleValuesParser;
+use domelight::accel::Accel;
+use domelight::dome::Dome;
+use domelight::error::Error;
+use domelight::film::{Aov, Filter};
+use domelight::render::{Background, Settings};
+use domelight::scene::camera::DEFAULT_FOV;
+use domelight::scene::{CameraChoice, LoadOptions, Scene, SceneChoice};
+use glam::Vec3;
+use std::io::IsTerminal;
+use std::path::PathBuf;
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The asset: .glb or .gltf
+    #[arg(value_name = "SCENE")]
+    pub(super) scene_file: PathBuf,
+    /// The dome: lat-long .exr or .hdr, +Y on top, +X in the middle
+    #[arg(long, value_name = "IMAGE")]
+    pub(super) dome: PathBuf,
+    /// Where to write, .exr or .png; may be given several times
+    #[arg(short, long, value_name = "FILE")]
+    pub(super) output: Vec<PathBuf>,
+
+    /// Turn the dome about +Y, degrees counter-clockwise seen from above
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true, help_heading = "Light")]
+    pub(super) dome_rotate: f64,
+    /// Multiply the dome's radiance
+    #[arg(long, value_name = "X", default_value_t = 1.0, allow_hyphen_values = true, help_heading = "Light")]
+    pub(super) dome_scale: f64,
+    /// What shows where nothing is hit
+    #[arg(long, default_value = "dome", value_parser = PossibleValuesParser::new(["dome", "black", "transparent"]), help_heading = "Light")]
+    background: String,
+
+    /// Which of the asset's scenes: name or index
+    #[arg(long, value_name = "NAME|INDEX", help_heading = "Camera")]
+    scene: Option<String>,
+    /// Which of the asset's cameras: name or index (default: the first; none: a framing of the whole scene)
+    #[arg(long, value_name = "NAME|INDEX", help_heading = "Camera", conflicts_with_all = ["eye", "orbit"])]
+    camera: Option<String>,
+    /// A camera standing here
+    #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "look_at", help_heading = "Camera")]
+    eye: Option<Vec3>,
+    /// … looking here
+    #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "eye", help_heading = "Camera")]
+    look_at: Option<Vec3>,
+    /// Vertical field of view, degrees
+    #[arg(long, value_name = "DEG", default_value_t = DEFAULT_FOV, allow_hyphen_values = true, help_heading = "Camera")]
+    fov: f32,
+    /// A camera around the scene: azimuth (0 sees the front) and elevation in degrees, and a distance
+    #[arg(long, value_name = "AZ,EL[,DIST]", value_parser = orbit, allow_hyphen_values = true, conflicts_with = "eye", help_heading = "Camera")]
+    orbit: Option<[Option<f32>; 3]>,
+    /// What the orbiting or framing camera looks at (default: the middle of the scene)
+    #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, conflicts_with_all = ["eye", "camera"], help_heading = "Camera")]
+    target: Option<Vec3>,
+
+    /// Size of the image
+    #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = size, help_heading = "Image")]
+    size: [u32; 2],
+    /// Render only this part: first column, first row, columns, rows
+    #[arg(long, value_name = "X,Y,W,H", value_parser = crop, help_heading = "Image")]
+    crop: Option<[u32; 4]>,
+    /// Camera samples a pixel
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=1 << 20), help_heading = "Image")]
+    spp: u32,
+    /// Shadow rays a camera sample
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=1 << 16), help_heading = "Image")]
+    rays: u32,
+    /// Begin no pass after so many seconds of rendering
+    #[arg(long, value_name = "SECONDS", help_heading = "Image")]
+    time: Option<f64>,
+    /// Seed of all random numbers
+    #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Image")]
+    seed: u32,
+    /// Pixel filter
+    #[arg(long, default_value = "box", value_parser = PossibleValuesParser::new(["box", "blackman-harris"]), help_heading = "Image")]
+    filter: String,
+    /// Further layers for EXR: albedo, normal, depth, position, visibility
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', help_heading = "Image")]
+    aov: Vec<String>,
+    /// Tone mapping for PNG
+    #[arg(long, default_value = "neutral", value_parser = PossibleValuesParser::new(["neutral", "aces", "none"]), help_heading = "Image")]
+    pub(super) tonemap: String,
+    /// Exposure for PNG, stops
+    #[arg(long, value_name = "EV", default_value_t = 0.0, allow_hyphen_values = true, help_heading = "Image")]
+    pub(super) exposure: f64,
+
+    /// Acceleration structure, NAME:KEY=VALUE,…
+    #[arg(long, value_name = "PLUGIN", default_value = domelight::accel::ACCELS[0].name, help_heading = "Plugins (see `domelight plugins`)")]
+    pub(super) accel: String,
+    /// Dome sampler
+    #[arg(long, value_name = "PLUGIN", default_value = domelight::sampler::SAMPLERS[0].name, help_heading = "Plugins (see `domelight plugins`)")]
+    pub(super) sampler: String,
+    /// Integrator
+    #[arg(long, value_name = "PLUGIN", default_value = domelight::integrator::INTEGRATORS[0].name, help_heading = "Plugins (see `domelight plugins`)")]
+    pub(super) integrator: String,
+
+    /// Threads (default: all)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Running")]
+    threads: Option<u16>,
+    /// Side of a tile, pixels
+    #[arg(long, value_name = "N", default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=4096), help_heading = "Running")]
+    tile: u32,
+    /// How progress is shown: bar (on a terminal), plain (a line a per cent), json, none
+    #[arg(long, default_value = "auto", value_parser = PossibleValuesParser::new(["auto", "bar", "plain", "json", "none"]), help_heading = "Running")]
+    progress: String,
+    /// Write statistics to a JSON file
+    #[arg(long, value_name = "FILE", help_heading = "Running")]
+    pub(super) stats: Option<PathBuf>,
+    /// Say nothing but errors
+    #[arg(short, long, conflicts_with = "verbose", help_heading = "Running")]
+    quiet: bool,
+    /// Say what the scene needs, what was built and how long it took
+    #[arg(short, long, help_heading = "Running")]
+    verbose: bool,
+}
+
+impl Args {
+    pub(super) fn settings(&self) -> Result<Settings> {
+        let [width, height] = self.size;
+        let crop = self.crop.unwrap_or([0, 0, width, height]);
+        let fits =
+            |first: u32, count: u32, all: u32| count > 0 && first.checked_add(count).is_some_and(|end| end <= all);
+        if !fits(crop[0], crop[2], width) || !fits(crop[1], crop[3], height) {
+            bail!(Error::Option(format!("--crop {crop:?} does not lie in the {width}x{height} image")));
+        }
+        if self.time.is_some_and(|t| !(t > 0.0 && t.is_finite())) {
+            bail!(Error::Option("--time wants a number of seconds above 0".to_owned()));
+        }
+        if !self.exposure.is_finite() || self.exposure.abs() > 32.0 {
+            bail!(Error::Option("--exposure wants stops from -32 to 32".to_owned()));
+        }
+        if !(self.dome_scale > 0.0 && self.dome_scale.is_finite()) {
+            bail!(Error::Option("--dome-scale wants a number above 0".to_owned()));
+        }
+        if !self.dome_rotate.is_finite() {
+            bail!(Error::Option("--dome-rotate wants degrees".to_owned()));
+        }
+        Ok(Settings {
+            size: self.size,
+            crop,
+            spp: if self.time.is_some() { 1 << 20 } else { self.spp },
+            rays: self.rays,
+            seed: self.seed,
+            tile: self.tile,
+            filter: if self.filter == "box" { Filter::Box } else { Filter::BlackmanHarris },
+            background: match self.background.as_str() {
+                "black" => Background::Black,
+                "transparent" => Background::Transparent,
+                _ => Background::Dome,
+            },
+            aovs: !self.aov.is_empty(),
+            time: self.time,
+        })
+    }
+
+    pub(super) fn aovs(&self) -> Result<Vec<Aov>> {
+        let find = |name: &String| {
+            Aov::ALL.into_iter().find(|aov| aov.name() == name).ok_or_else(|| {
+                let known = Aov::ALL.map(Aov::name).join(", ");
+                Error::Option(format!("--aov: unknown layer '{name}'; known: {known}")).into()
+            })
+        };
+        self.aov.iter().map(find).collect()
+    }
+
+    pub(super) fn load_options(&self) -> LoadOptions {
+        LoadOptions { scene: self.scene.as_deref().map(|name| SceneChoice::Name(name.to_owned())) }
+    }
+
+    pub(super) fn camera(&self) -> Result<CameraChoice> {
+        let framed = self.orbit.is_some() || self.target.is_some();
+        Ok(match (&self.camera, self.eye, self.look_at) {
+            (Some(name), ..) => CameraChoice::Named(name.clone()),
+            (None, Some(eye), Some(target)) => CameraChoice::LookAt { eye, target, fov: self.fov },
+            _ if framed => {
+                let [azimuth, elevation, distance] = self.orbit.unwrap_or([Some(35.0), Some(20.0), None]);
+                let (azimuth, elevation) = (azimuth.unwrap_or(35.0), elevation.unwrap_or(20.0));
+                CameraChoice::Orbit { azimuth, elevation, distance, target: self.target, fov: self.fov }
+            }
+            _ => CameraChoice::First,
+        })
+    }
+
+    pub(super) fn threads(&self) -> usize {
+        let all = std::thread::available_parallelism().map_or(1, usize::from);
+        self.threads.map_or(all, usize::from)
+    }
+
+    pub(super) fn progress(&self) -> Mode {
+        match self.progress.as_str() {
+            "bar" => Mode::Bar,
+            "plain" => Mode::Plain,
+            "json" => Mode::Json,
+            "auto" if !self.quiet && std::io::stderr().is_terminal() => Mode::Bar,
+            _ => Mode::None,
+        }
+    }
+
+    pub(super) fn say_warnings(&self, scene: &Scene) {
+        if !self.quiet {
+            for warning in &scene.warnings {
+                eprintln!("domelight: {}: {warning}", self.scene_file.display());
+            }
+        }
+    }
+
+    pub(super) fn say_dome(&self, dome: &Dome) {
+        let faults = dome.faults;
+        let mut repaired = Vec::new();
+        for (count, what) in [
+            (faults.negative, "below zero (set to 0)"),
+            (faults.nan, "not a number (set to 0)"),
+            (faults.infinite, "infinite (set to the largest finite value)"),
+        ] {
+            if count > 0 {
+                repaired.push(format!("{count} texels {what}"));
+            }
+        }
+        if !self.quiet && !repaired.is_empty() {
+            eprintln!("domelight: {}: {}", self.dome.display(), repaired.join(", "));
+        }
+        if self.verbose {
+            eprintln!("dome       {} × {} texels", dome.grid.width, dome.grid.height);
+        }
+    }
+
+    pub(super) fn say_scene(&self, scene: &Scene, accel: &dyn Accel) {
+        if !self.verbose {
+            return;
+        }
+        let needs = scene.needs;
+        let mut list = Vec::new();
+        for (needed, what) in [
+            (needs.textures, "textures"),
+            (needs.uv_sets > 0, if needs.uv_sets > 1 { "2 UV sets" } else { "1 UV set" }),
+            (needs.tangents, "tangents"),
+            (needs.alpha, "alpha test"),
+            (needs.gloss, "gloss (MIS)"),
+            (needs.emission, "emission"),
+            (needs.instances, "instances"),
+        ] {
+            if needed {
+                list.push(what);
+            }
+        }
+        let stats = accel.stats();
+        eprintln!("scene      {} triangles, {} in memory", scene.triangle_count(), stats.triangles);
+        eprintln!("needs      {}", if list.is_empty() { "geometry alone".to_owned() } else { list.join(", ") });
+        eprintln!(
+            "accel      {} in {:.2} s, {:.1} MB, {:.0} bytes a triangle",
+            self.accel,
+            stats.build_s,
+            stats.bytes as f64 * 1e-6,
+            stats.bytes as f64 / stats.triangles.max(1) as f64
+        );
+    }
+
+    pub(super) fn say_report(&self, report: &Report<'_>) {
+        if self.verbose {
+            eprint!("{}", report.text());
+        }
+        let counts = &report.picture.counts;
+        if counts.dropped > 0 && !self.quiet {
+            let [x, y, sample] = counts.dropped_at.unwrap_or_default();
+            eprintln!(
+                "domelight: {} camera samples were not finite and were dropped; one is pixel {x},{y} sample {sample} (seed {})",
+                counts.dropped, self.seed
+            );
+        }
+    }
+}
+
+fn vector(text: &str) -> Result<Vec3, String> {
+    let parts: Vec<f32> = numbers(text)?;
+    let [x, y, z] = parts[..] else { return Err("three numbers X,Y,Z are wanted".to_owned()) };
+    Ok(Vec3::new(x, y, z))
+}
+
+fn orbit(text: &str) -> Result<[Option<f32>; 3], String> {
+    match numbers(text)?[..] {
+        [azimuth, elevation] => Ok([Some(azimuth), Some(elevation), None]),
+        [azimuth, elevation, distance] if distance > 0.0 => Ok([Some(azimuth), Some(elevation), Some(distance)]),
+        _ => Err("AZ,EL or AZ,EL,DIST is wanted, DIST above 0".to_owned()),
+    }
+}
+
+fn numbers(text: &str) -> Result<Vec<f32>, String> {
+    let finite = |part: &str| part.trim().parse::<f32>().ok().filter(|v| v.is_finite());
+    text.split(',').map(|part| finite(part).ok_or_else(|| format!("'{part}' is not a finite number"))).collect()
+}
+
+fn size(text: &str) -> Result<[u32; 2], String> {
+    let wrong = || "WIDTHxHEIGHT is wanted, each from 1 to 65536, 268 million pixels at most".to_owned();
+    let (width, height) = text.split_once(['x', '×']).ok_or_else(wrong)?;
+    let side = |text: &str| text.parse().ok().filter(|side| (1..=65536).contains(side)).ok_or_else(wrong);
+    let size: [u32; 2] = [side(width)?, side(height)?];
+    if u64::from(size[0]) * u64::from(size[1]) > 1 << 28 { Err(wrong()) } else { Ok(size) }
+}
+
+fn crop(text: &str) -> Result<[u32; 4], String> {
+    let parts: Option<Vec<u32>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+    parts.and_then(|parts| parts.try_into().ok()).ok_or_else(|| "four whole numbers X,Y,W,H are wanted".to_owned())
+}

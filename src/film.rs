@@ -1,0 +1,241 @@
+//! Sums and weights of pixels, and where in a pixel a camera sample falls.
+//!
+//! A sample belongs to one pixel: filters are drawn from, not splatted (filter importance sampling, Ernst et al. 2006),
+//! so that tiles and crops never share pixels and an image does not depend on how it was cut up.
+
+use glam::Vec3;
+
+/// A reconstruction filter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Filter {
+    /// One pixel wide, constant: what references use.
+    #[default]
+    Box,
+    /// The four-term Blackman-Harris window, four pixels wide.
+    BlackmanHarris,
+}
+
+impl Filter {
+    /// The offset from the pixel's centre for a number in [0, 1), one axis, pixels.
+    pub fn offset(self, u: f32) -> f32 {
+        match self {
+            Self::Box => u - 0.5,
+            Self::BlackmanHarris => blackman_harris(u),
+        }
+    }
+}
+
+/// Inverts the window's cumulative distribution on [−2, 2] by Newton steps kept inside a bracket.
+fn blackman_harris(u: f32) -> f32 {
+    use std::f64::consts::TAU;
+    const A: [f64; 4] = [0.35875, 0.48829, 0.14128, 0.01168];
+    let u = f64::from(u);
+    let (mut low, mut high) = (0.0f64, 1.0f64);
+    let mut x = u;
+    for _ in 0..24 {
+        let wave = |k: f64| TAU * k * x;
+        let density = A[0] - A[1] * wave(1.0).cos() + A[2] * wave(2.0).cos() - A[3] * wave(3.0).cos();
+        let integral = A[0] * x - A[1] * wave(1.0).sin() / TAU + A[2] * wave(2.0).sin() / (2.0 * TAU)
+            - A[3] * wave(3.0).sin() / (3.0 * TAU);
+        let error = integral / A[0] - u;
+        if error > 0.0 {
+            high = x
+        } else {
+            low = x
+        }
+        let newton = x - error * A[0] / density;
+        x = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
+    }
+    ((x - 0.5) * 4.0) as f32
+}
+
+/// Extra layers a film can hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Aov {
+    /// Base colour of what is seen.
+    Albedo,
+    /// Shading normal, world space.
+    Normal,
+    /// Distance along the camera's axis is not what artists expect here: distance from the camera, metres.
+    Depth,
+    /// World position, metres.
+    Position,
+    /// Shadowed over unshadowed irradiance.
+    Visibility,
+}
+
+impl Aov {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::Albedo, Self::Normal, Self::Depth, Self::Position, Self::Visibility];
+
+    /// The layer's name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Albedo => "albedo",
+            Self::Normal => "normal",
+            Self::Depth => "depth",
+            Self::Position => "position",
+            Self::Visibility => "visibility",
+        }
+    }
+
+    /// The layer's channels.
+    pub fn channels(self) -> &'static [&'static str] {
+        match self {
+            Self::Albedo => &["R", "G", "B"],
+            Self::Normal | Self::Position => &["X", "Y", "Z"],
+            Self::Depth => &["Z"],
+            Self::Visibility => &["Y"],
+        }
+    }
+}
+
+/// What one camera sample gives.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Sample {
+    /// Radiance, premultiplied.
+    pub radiance: Vec3,
+    /// Coverage.
+    pub alpha: f32,
+    /// Values of the layers asked for, in [`Aov::ALL`]'s order; visibility as (shadowed, unshadowed).
+    pub aovs: Option<AovSample>,
+}
+
+/// A camera sample's layers.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct AovSample {
+    /// Base colour.
+    pub albedo: Vec3,
+    /// Shading normal.
+    pub normal: Vec3,
+    /// Distance.
+    pub depth: f32,
+    /// World position.
+    pub position: Vec3,
+    /// What the shadow rays added, and what they would have added had all arrived.
+    pub light: [f32; 2],
+}
+
+/// A pixel's sums.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Pixel {
+    /// Σ weight · (R, G, B, A).
+    pub sum: [f64; 4],
+    /// Σ weight.
+    pub weight: f64,
+    /// Camera samples taken.
+    pub samples: u32,
+}
+
+/// A rectangle of pixels.
+#[derive(Debug, Clone)]
+pub struct Film {
+    /// First column and row, in the full image.
+    pub offset: [u32; 2],
+    /// Columns and rows.
+    pub size: [u32; 2],
+    /// Row by row.
+    pub pixels: Vec<Pixel>,
+    /// Σ weight · (albedo, normal, depth, position, light) a pixel; empty unless asked for.
+    pub aovs: Vec<[f64; 12]>,
+}
+
+impl Film {
+    /// A black film.
+    pub fn new(offset: [u32; 2], size: [u32; 2], aovs: bool) -> Self {
+        let count = size[0] as usize * size[1] as usize;
+        let aovs = if aovs { vec![[0.0; 12]; count] } else { Vec::new() };
+        Self { offset, size, pixels: vec![Pixel::default(); count], aovs }
+    }
+
+    /// The index of a pixel of the full image.
+    pub fn index(&self, [x, y]: [u32; 2]) -> usize {
+        (y - self.offset[1]) as usize * self.size[0] as usize + (x - self.offset[0]) as usize
+    }
+
+    /// Adds a sample to the pixel at `index`. The caller has dropped non-finite ones.
+    pub fn add(&mut self, index: usize, sample: &Sample, weight: f64) {
+        let pixel = &mut self.pixels[index];
+        let values = [sample.radiance.x, sample.radiance.y, sample.radiance.z, sample.alpha];
+        for (sum, value) in pixel.sum.iter_mut().zip(values) {
+            *sum += weight * f64::from(value);
+        }
+        pixel.weight += weight;
+        pixel.samples += 1;
+        if let (Some(sums), Some(aovs)) = (self.aovs.get_mut(index), &sample.aovs) {
+            let [a, n, p] = [aovs.albedo, aovs.normal, aovs.position].map(|v| v.to_array());
+            let values =
+                [a[0], a[1], a[2], n[0], n[1], n[2], aovs.depth, p[0], p[1], p[2], aovs.light[0], aovs.light[1]];
+            for (sum, value) in sums.iter_mut().zip(values) {
+                *sum += weight * f64::from(value);
+            }
+        }
+    }
+
+    /// Adds a smaller film that lies within this one.
+    pub fn merge(&mut self, tile: &Self) {
+        for y in 0..tile.size[1] {
+            let from = y as usize * tile.size[0] as usize;
+            let to = self.index([tile.offset[0], tile.offset[1] + y]);
+            for i in 0..tile.size[0] as usize {
+                let (own, other) = (&mut self.pixels[to + i], &tile.pixels[from + i]);
+                for (sum, value) in own.sum.iter_mut().zip(other.sum) {
+                    *sum += value;
+                }
+                own.weight += other.weight;
+                own.samples += other.samples;
+                if !tile.aovs.is_empty() {
+                    for (sum, value) in self.aovs[to + i].iter_mut().zip(tile.aovs[from + i]) {
+                        *sum += value;
+                    }
+                }
+            }
+        }
+    }
+
+    /// The picture: R, G, B, A interleaved.
+    pub fn rgba(&self) -> Vec<f32> {
+        let mean = |p: &Pixel| p.sum.map(|s| if p.weight > 0.0 { (s / p.weight) as f32 } else { 0.0 });
+        self.pixels.iter().flat_map(mean).collect()
+    }
+
+    /// A layer's pixels, channels interleaved.
+    pub fn layer(&self, aov: Aov) -> Vec<f32> {
+        let range = match aov {
+            Aov::Albedo => 0..3,
+            Aov::Normal => 3..6,
+            Aov::Depth => 6..7,
+            Aov::Position => 7..10,
+            Aov::Visibility => {
+                let ratio = |s: &[f64; 12]| if s[11] > 0.0 { (s[10] / s[11]) as f32 } else { 1.0 };
+                return self.aovs.iter().map(ratio).collect();
+            }
+        };
+        let scale = |i: usize| if self.pixels[i].weight > 0.0 { 1.0 / self.pixels[i].weight } else { 0.0 };
+        let values = self.aovs.iter().enumerate();
+        values.flat_map(|(i, s)| s[range.clone()].iter().map(move |v| (v * scale(i)) as f32)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn offsets_follow_the_window() {
+        let n = 10_000;
+        let offsets: Vec<f32> = (0..n).map(|i| Filter::BlackmanHarris.offset((i as f32 + 0.5) / n as f32)).collect();
+        assert!(offsets.windows(2).all(|pair| pair[0] <= pair[1]), "not monotone");
+        let variance = offsets.iter().map(|x| f64::from(x * x)).sum::<f64>() / f64::from(n);
+        // ∫ x² w / ∫ w for the window on [−2, 2], by the same sum over its own density.
+        let (mut top, mut bottom) = (0.0, 0.0);
+        for i in 0..n {
+            let t = (f64::from(i) + 0.5) / f64::from(n);
+            let wave = |k: f64| (std::f64::consts::TAU * k * t).cos();
+            let w = 0.35875 - 0.48829 * wave(1.0) + 0.14128 * wave(2.0) - 0.01168 * wave(3.0);
+            top += w * (4.0 * t - 2.0) * (4.0 * t - 2.0);
+            bottom += w;
+        }
+        assert!((variance / (top / bottom) - 1.0).abs() < 1e-3, "{variance}");
+    }
+}

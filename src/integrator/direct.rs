@@ -1,0 +1,219 @@
+//! Emission and direct light from the dome.
+//!
+//! The diffuse term is estimated by the dome sampler alone, with its control variate. A specular lobe adds directions
+//! drawn from the lobe; the specular term takes both kinds by the balance heuristic (the diffuse term takes the dome's
+//! unweighted: a weighted control variate would have the wrong mean). Below a roughness of 0.05 the lobe is left to its
+//! own directions. A Lambertian point draws from the dome and knows nothing of MIS.
+
+use super::{Integrator, MakeIntegrator, Queue, Shading, World};
+use crate::accel::Ray;
+use crate::bsdf::ggx::{self, Frame};
+use crate::bsdf::{Bsdf, Specular};
+use crate::integrator::ao::cosine_direction;
+use crate::random;
+use crate::registry::Plugin;
+use crate::sampler::{Draws, Numbers, Point};
+use crate::scene::offset_origin;
+use glam::Vec3;
+use std::f32::consts::FRAC_1_PI;
+
+/// The plugin.
+pub const PLUGIN: Plugin<MakeIntegrator> = Plugin {
+    name: "direct",
+    about: "emission and direct light from the dome",
+    options: &[],
+    make: |_| Ok(Box::new(Direct)),
+};
+
+/// α of roughness 0.05: narrower lobes are sampled by themselves.
+const NARROW: f32 = 0.0025;
+
+#[derive(Debug)]
+struct Direct;
+
+impl Integrator for Direct {
+    fn shade(&self, world: &World<'_>, point: &Shading<'_>, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
+        let surface = point.surface;
+        if surface.unlit {
+            return surface.base_color;
+        }
+        let bsdf = Bsdf::new(surface);
+        let (from_dome, from_lobe) = if world.sampler.needs_partner() {
+            (point.rays.div_ceil(2), (point.rays / 2).max(1))
+        } else {
+            split(&bsdf, point.rays)
+        };
+        let shade = Shade {
+            world,
+            point,
+            bsdf,
+            from_dome,
+            from_lobe,
+            lobe: Lobe::new(&bsdf, surface.ns, point.wo, world.sampler.needs_partner()),
+        };
+        surface.emission + shade.dome(draws, queue) + shade.lobe(draws, queue)
+    }
+}
+
+/// How many directions come from the dome and how many from the specular lobe.
+fn split(bsdf: &Bsdf, rays: u32) -> (u32, u32) {
+    match &bsdf.specular {
+        None => (rays, 0),
+        Some(s) if s.alpha < NARROW => {
+            if bsdf.diffuse == Vec3::ZERO {
+                (0, rays)
+            } else {
+                ((rays - rays / 4).max(1), (rays / 4).max(1))
+            }
+        }
+        Some(_) if bsdf.diffuse == Vec3::ZERO => ((rays / 2).max(1), (rays - rays / 2).max(1)),
+        Some(_) => ((rays - rays / 4).max(1), (rays / 4).max(1)),
+    }
+}
+
+/// The directions that the surface proposes.
+struct Lobe {
+    frame: Frame,
+    wo: Vec3,
+    specular: Option<Specular>,
+    /// Share of the directions drawn from the cosine, for samplers that need a partner everywhere.
+    cosine: f32,
+}
+
+impl Lobe {
+    fn new(bsdf: &Bsdf, ns: Vec3, wo: Vec3, partner: bool) -> Self {
+        let frame = Frame::new(ns);
+        let cosine = match (&bsdf.specular, partner) {
+            (None, _) => 1.0,
+            (Some(_), false) => 0.0,
+            (Some(_), true) => {
+                if bsdf.diffuse == Vec3::ZERO {
+                    0.0
+                } else {
+                    0.5
+                }
+            }
+        };
+        Self { frame, wo: frame.to_local(wo), specular: bsdf.specular, cosine }
+    }
+
+    /// Specular reflectance towards a local direction and the density of the lobe's directions there.
+    fn eval(&self, wi: Vec3) -> (Vec3, f32) {
+        let (f, pdf) = self.specular.as_ref().map_or((Vec3::ZERO, 0.0), |s| ggx::eval(s, self.wo, wi));
+        (f, (1.0 - self.cosine) * pdf + self.cosine * wi.z.max(0.0) * FRAC_1_PI)
+    }
+
+    fn sample(&self, u: [u32; 2], choice: f32) -> Option<Vec3> {
+        match &self.specular {
+            Some(s) if choice >= self.cosine => ggx::sample(s, self.wo, u.map(random::unit)).map(|(wi, ..)| wi),
+            _ => Some(cosine_direction(u)),
+        }
+    }
+}
+
+struct Shade<'a> {
+    world: &'a World<'a>,
+    point: &'a Shading<'a>,
+    bsdf: Bsdf,
+    from_dome: u32,
+    from_lobe: u32,
+    lobe: Lobe,
+}
+
+impl Shade<'_> {
+    fn narrow(&self) -> bool {
+        self.bsdf.specular.is_some_and(|s| s.alpha < NARROW) && !self.world.sampler.needs_partner()
+    }
+
+    /// Directions from the dome: all of the diffuse term, and the specular one's share.
+    fn dome(&self, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
+        if self.from_dome == 0 {
+            return Vec3::ZERO;
+        }
+        let (surface, wo) = (self.point.surface, self.point.wo);
+        let (ns, ng) = (surface.ns, surface.ng);
+        let point = Point {
+            pixel: self.point.pixel,
+            distance: self.point.distance,
+            ng,
+            ns,
+            wo,
+            bsdf: self.bsdf,
+            numbers: self.point.numbers,
+        };
+        self.world.sampler.draw(&point, self.from_dome, draws);
+        let n = draws.dir.len() as f32;
+        let k = self.bsdf.typical_diffuse(wo, ns) * FRAC_1_PI;
+        let partner = self.world.sampler.needs_partner();
+        let mut sum = Vec3::ZERO;
+        for i in 0..draws.dir.len() {
+            let (dir, pdf) = (draws.dir[i], draws.pdf[i]);
+            if !draws.control.is_empty() {
+                sum -= k * draws.control[i] / pdf;
+            }
+            let cosine = dir.dot(ns);
+            let target = draws.target.get(i);
+            if cosine <= 0.0 || dir.dot(ng) <= 0.0 || draws.radiance[i] == Vec3::ZERO {
+                // Hidden by the surface itself: no ray, but the control variate above still counts.
+                if draws.radiance[i] != Vec3::ZERO {
+                    queue.hidden.extend(target);
+                }
+                continue;
+            }
+            let alone = n * pdf;
+            let mut f = self.bsdf.eval_diffuse(wo, dir) / if partner { 1.0 } else { alone };
+            if partner || (self.bsdf.specular.is_some() && !self.narrow()) {
+                let (specular, lobe_pdf) = self.lobe.eval(self.lobe.frame.to_local(dir));
+                let both = alone + self.from_lobe as f32 * lobe_pdf;
+                f = if partner { (f + specular) / both } else { f + specular / both };
+            }
+            let origin = offset_origin(surface.position, surface.error, ng, dir);
+            queue.push(Ray::new(origin, dir), draws.radiance[i] * f * cosine);
+            queue.targets.extend(target);
+        }
+        k * draws.integral + sum / n
+    }
+
+    /// Directions from the lobe.
+    fn lobe(&self, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
+        let surface = self.point.surface;
+        let numbers = Numbers { seed: random::combine(self.point.numbers.seed, 0x10be), ..self.point.numbers };
+        let partner = self.world.sampler.needs_partner();
+        let from_dome = if self.from_dome == 0 || self.narrow() { 0.0 } else { draws.dir.len() as f32 };
+        let point = Point {
+            pixel: self.point.pixel,
+            distance: self.point.distance,
+            ng: surface.ng,
+            ns: surface.ns,
+            wo: self.point.wo,
+            bsdf: self.bsdf,
+            numbers: self.point.numbers,
+        };
+        for i in 0..self.from_lobe {
+            let choice = (i as f32 + random::unit(numbers.word(i, 2))) / self.from_lobe as f32;
+            let u = numbers.square(i, self.from_lobe);
+            let Some(local) = self.lobe.sample(u, choice) else { continue };
+            let dir = self.lobe.frame.to_world(local);
+            if local.z <= 0.0 || dir.dot(surface.ng) <= 0.0 {
+                continue;
+            }
+            let (radiance, texel) = self.world.dome.lookup(dir);
+            let (specular, lobe_pdf) = self.lobe.eval(local);
+            let dome_pdf = if from_dome == 0.0 { 0.0 } else { self.world.sampler.pdf(&point, draws, dir, texel) };
+            let both = self.from_lobe as f32 * lobe_pdf + from_dome * dome_pdf;
+            let mut f = specular;
+            if partner {
+                f += self.bsdf.eval_diffuse(self.point.wo, dir);
+            }
+            let contribution = radiance * f * (local.z / both);
+            if contribution != Vec3::ZERO {
+                let origin = offset_origin(surface.position, surface.error, surface.ng, dir);
+                queue.push(Ray::new(origin, dir), contribution);
+                if !draws.target.is_empty() {
+                    queue.targets.push(u32::MAX);
+                }
+            }
+        }
+        Vec3::ZERO
+    }
+}

@@ -1,0 +1,101 @@
+//! What a camera sample is worth.
+//!
+//! An integrator never traces: it says what a point is worth whatever is visible, and queues shadow rays with what each
+//! adds if it arrives. The renderer traces a tile's queue in large batches.
+
+pub mod ao;
+pub mod direct;
+pub mod visibility;
+
+use crate::accel::{Accel, Ray};
+use crate::dome::Dome;
+use crate::error::Result;
+use crate::registry::{Params, Plugin};
+use crate::sampler::{DomeSampler, Draws, Numbers};
+use crate::scene::{Scene, Surface};
+use glam::Vec3;
+use std::fmt::Debug;
+
+/// Everything a render reads.
+#[derive(Debug, Clone, Copy)]
+pub struct World<'a> {
+    /// Geometry and materials.
+    pub scene: &'a Scene,
+    /// Answers rays.
+    pub accel: &'a dyn Accel,
+    /// The light.
+    pub dome: &'a Dome,
+    /// Draws directions towards it.
+    pub sampler: &'a dyn DomeSampler,
+}
+
+/// A point to be shaded.
+#[derive(Debug, Clone, Copy)]
+pub struct Shading<'a> {
+    /// The pixel, in the full image.
+    pub pixel: [u32; 2],
+    /// Distance from the camera, metres.
+    pub distance: f32,
+    /// Unit direction to the viewer.
+    pub wo: Vec3,
+    /// What is there.
+    pub surface: &'a Surface,
+    /// Its numbers.
+    pub numbers: Numbers,
+    /// Shadow rays at most.
+    pub rays: u32,
+}
+
+/// Shadow rays waiting to be traced.
+#[derive(Debug, Default)]
+pub struct Queue {
+    /// The rays.
+    pub rays: Vec<Ray>,
+    /// What each adds to its sample if it arrives.
+    pub contributions: Vec<Vec3>,
+    /// The camera sample it belongs to, an index of the renderer's.
+    pub samples: Vec<u32>,
+    /// What the sampler counts it towards; empty when nothing is learned.
+    pub targets: Vec<u32>,
+    /// Targets of directions known to be hidden without a ray.
+    pub hidden: Vec<u32>,
+    /// The camera sample that is being shaded.
+    pub sample: u32,
+}
+
+impl Queue {
+    /// Queues a ray of the current sample.
+    #[inline]
+    pub fn push(&mut self, ray: Ray, contribution: Vec3) {
+        self.rays.push(ray);
+        self.contributions.push(contribution);
+        self.samples.push(self.sample);
+    }
+
+    /// Empties the queue, keeping its memory.
+    pub fn clear(&mut self) {
+        self.rays.clear();
+        self.contributions.clear();
+        self.samples.clear();
+        self.targets.clear();
+        self.hidden.clear();
+    }
+}
+
+/// A way to shade points.
+pub trait Integrator: Debug + Send + Sync {
+    /// Shades a point: returns the radiance towards the viewer that needs no visibility and queues shadow rays for the
+    /// rest. `draws` is scratch.
+    fn shade(&self, world: &World<'_>, point: &Shading<'_>, draws: &mut Draws, queue: &mut Queue) -> Vec3;
+
+    /// Whether rays that miss the scene show the dome.
+    fn shows_dome(&self) -> bool {
+        true
+    }
+}
+
+/// Makes an integrator.
+pub type MakeIntegrator = fn(&Params) -> Result<Box<dyn Integrator>>;
+
+/// All integrators; the first is the default.
+pub const INTEGRATORS: &[Plugin<MakeIntegrator>] = &[direct::PLUGIN, ao::PLUGIN];

@@ -1,0 +1,408 @@
+//! Passes × tiles.
+//!
+//! A pass takes some camera samples of some pixels. Without a learning sampler passes only cut the work up. With one,
+//! the first camera samples come in three *stages*, each a lattice of pixels: every 16th pixel, then every 4th, then the
+//! rest; after each stage the sampler goes by what was seen so far. A pixel's own samples therefore never depend on
+//! what they saw themselves, all of them form one stratified set, and the image is unbiased in the strict sense. Later
+//! samples are one more stage with numbers of their own.
+//!
+//! Tiles are independent: their queues of shadow rays, their films and the blocks of the shadow cache are their own.
+
+use crate::accel::{Accel, Hit, Ray};
+use crate::dome::Dome;
+use crate::film::{AovSample, Film, Filter, Sample};
+use crate::integrator::visibility::{self, nearest};
+use crate::integrator::{Integrator, Queue, Shading, World};
+use crate::random;
+use crate::sampler::{DomeSampler, Draws, Numbers};
+use crate::scene::Scene;
+use crate::scene::camera::View;
+use glam::Vec3;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::time::Instant;
+
+/// What camera rays that miss everything show.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Background {
+    /// The dome, opaque.
+    #[default]
+    Dome,
+    /// Black, opaque.
+    Black,
+    /// Nothing: alpha 0.
+    Transparent,
+}
+
+/// How to render.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// Width and height of the full image.
+    pub size: [u32; 2],
+    /// The part to render: first column and row, columns and rows.
+    pub crop: [u32; 4],
+    /// Camera samples a pixel.
+    pub spp: u32,
+    /// Shadow rays a camera sample.
+    pub rays: u32,
+    /// The image's seed.
+    pub seed: u32,
+    /// Side of a tile, pixels; at least 32 where a cache learns in blocks.
+    pub tile: u32,
+    /// Reconstruction filter.
+    pub filter: Filter,
+    /// What misses show.
+    pub background: Background,
+    /// Whether layers are collected.
+    pub aovs: bool,
+    /// Seconds after which no further pass begins.
+    pub time: Option<f64>,
+}
+
+/// How a render is watched and stopped.
+#[derive(Clone, Copy)]
+pub struct Watch<'a> {
+    /// Set: finish the pass and return.
+    pub finish: &'a AtomicBool,
+    /// Told the share of the work that is done; from any thread, monotone in each.
+    pub progress: &'a (dyn Fn(f64) + Sync),
+}
+
+impl std::fmt::Debug for Watch<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Watch").field("finish", self.finish).finish_non_exhaustive()
+    }
+}
+
+/// What was rendered.
+#[derive(Debug)]
+pub struct Picture {
+    /// The pixels.
+    pub film: Film,
+    /// Camera samples a pixel that were asked for and taken everywhere.
+    pub spp: u32,
+    /// Whether it was stopped early.
+    pub stopped: bool,
+    /// Counts.
+    pub counts: Counts,
+}
+
+/// What a render counted.
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
+pub struct Counts {
+    /// Camera rays.
+    pub camera_rays: u64,
+    /// Shadow rays traced.
+    pub shadow_rays: u64,
+    /// Shadow rays that would have been traced, had the sampler drawn all it was asked for.
+    pub rays_asked: u64,
+    /// Camera samples dropped because they were not finite.
+    pub dropped: u64,
+    /// Pixel and sample of one that was dropped.
+    pub dropped_at: Option<[u32; 3]>,
+    /// The largest value a single ray added to a pixel, after division by spp; what a firefly would be.
+    pub max_weight: f32,
+}
+
+impl Counts {
+    fn add(&mut self, other: &Self) {
+        self.camera_rays += other.camera_rays;
+        self.shadow_rays += other.shadow_rays;
+        self.rays_asked += other.rays_asked;
+        self.dropped += other.dropped;
+        self.dropped_at = self.dropped_at.or(other.dropped_at);
+        self.max_weight = self.max_weight.max(other.max_weight);
+    }
+}
+
+/// Which pixels a pass takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Lattice {
+    All,
+    /// Every fourth in both directions.
+    Sixteenth,
+    /// Every second in both directions but those.
+    Quarter,
+    /// The rest.
+    Rest,
+}
+
+impl Lattice {
+    fn takes(self, x: u32, y: u32) -> bool {
+        let sixteenth = x % 4 == 1 && y % 4 == 1;
+        let quarter = x % 2 == 1 && y % 2 == 1;
+        match self {
+            Self::All => true,
+            Self::Sixteenth => sixteenth,
+            Self::Quarter => quarter && !sixteenth,
+            Self::Rest => !quarter,
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Pass {
+    lattice: Lattice,
+    /// Camera samples of the sequence.
+    first: u32,
+    count: u32,
+    /// Which sequence: every learning stage after the first has its own.
+    sequence: u32,
+    weight: f64,
+    /// Whether the sampler's stage ends here.
+    ends_stage: bool,
+    /// Camera samples that every pixel has after this pass.
+    spp_after: u32,
+}
+
+/// A render to be run.
+#[derive(Debug, Clone, Copy)]
+pub struct Render<'a> {
+    /// What is seen.
+    pub scene: &'a Scene,
+    /// Answers rays.
+    pub accel: &'a dyn Accel,
+    /// The light.
+    pub dome: &'a Dome,
+    /// Shades.
+    pub integrator: &'a dyn Integrator,
+    /// The camera.
+    pub view: &'a View,
+    /// How.
+    pub settings: Settings,
+}
+
+/// Camera samples of the learning stage, at most.
+const LEARNING: u32 = 8;
+
+/// Camera samples traced together.
+const CHUNK: usize = 1024;
+
+/// Shadow rays traced together.
+const BATCH: usize = 1024;
+
+impl Render<'_> {
+    fn passes(&self, learns: bool) -> Vec<Pass> {
+        let spp = self.settings.spp;
+        let mut passes = Vec::new();
+        let mut done = 0;
+        if learns {
+            let count = spp.min(LEARNING);
+            for lattice in [Lattice::Sixteenth, Lattice::Quarter, Lattice::Rest] {
+                let spp_after = if lattice == Lattice::Rest { count } else { 0 };
+                passes.push(Pass { lattice, first: 0, count, sequence: 0, weight: 1.0, ends_stage: true, spp_after });
+            }
+            done = count;
+        }
+        let first = done;
+        while done < spp {
+            let count = (spp - done).min(4);
+            let sequence = u32::from(learns);
+            passes.push(Pass {
+                lattice: Lattice::All,
+                first: done - first,
+                count,
+                sequence,
+                weight: 1.0,
+                ends_stage: false,
+                spp_after: done + count,
+            });
+            done += count;
+        }
+        passes
+    }
+
+    /// Renders. The sampler learns on the way, if it does; it must be fresh.
+    pub fn run(&self, sampler: &mut dyn DomeSampler, watch: Watch<'_>) -> Picture {
+        let start = Instant::now();
+        let [x, y, width, height] = self.settings.crop;
+        let mut film = Film::new([x, y], [width, height], self.settings.aovs);
+        let passes = self.passes(sampler.learns());
+        let tiles = self.tiles(sampler.tile_multiple());
+        let work: f64 = passes.iter().map(|pass| self.work(pass)).sum();
+        let mut counts = Counts::default();
+        let mut spp = 0;
+        let mut stopped = false;
+        let mut done = 0.0;
+        for pass in &passes {
+            // Without a first sample everywhere there is no picture: the learning stages always finish.
+            let enough = spp > 0;
+            let late = self.settings.time.is_some_and(|limit| start.elapsed().as_secs_f64() >= limit);
+            if enough && (watch.finish.load(Relaxed) || late) {
+                stopped = true;
+                break;
+            }
+            let finished = AtomicU64::new(0);
+            let world = World { scene: self.scene, accel: self.accel, dome: self.dome, sampler: &*sampler };
+            let results: Vec<(Film, Counts)> = tiles
+                .par_iter()
+                .map_init(Scratch::default, |scratch, tile| {
+                    let result = self.tile(&world, pass, *tile, scratch);
+                    let share = (finished.fetch_add(1, Relaxed) + 1) as f64 / tiles.len() as f64;
+                    (watch.progress)((done + share * self.work(pass)) / work);
+                    result
+                })
+                .collect();
+            for (tile, tile_counts) in &results {
+                film.merge(tile);
+                counts.add(tile_counts);
+            }
+            if pass.ends_stage {
+                sampler.next_stage();
+            }
+            done += self.work(pass);
+            spp = spp.max(pass.spp_after);
+        }
+        counts.max_weight /= spp.max(1) as f32;
+        Picture { film, spp, stopped, counts }
+    }
+
+    fn work(&self, pass: &Pass) -> f64 {
+        let share = match pass.lattice {
+            Lattice::All => 1.0,
+            Lattice::Sixteenth => 1.0 / 16.0,
+            Lattice::Quarter => 3.0 / 16.0,
+            Lattice::Rest => 0.75,
+        };
+        share * f64::from(pass.count)
+    }
+
+    /// The tiles of the crop window, aligned to the full image so that crops cut the same ones.
+    fn tiles(&self, multiple: u32) -> Vec<[u32; 4]> {
+        let [x0, y0, width, height] = self.settings.crop;
+        let side = self.settings.tile.max(1).next_multiple_of(multiple);
+        let mut tiles = Vec::new();
+        for ty in y0 / side..(y0 + height).div_ceil(side) {
+            for tx in x0 / side..(x0 + width).div_ceil(side) {
+                let (left, top) = ((tx * side).max(x0), (ty * side).max(y0));
+                let (right, bottom) = (((tx + 1) * side).min(x0 + width), ((ty + 1) * side).min(y0 + height));
+                tiles.push([left, top, right - left, bottom - top]);
+            }
+        }
+        tiles
+    }
+
+    fn tile(&self, world: &World<'_>, pass: &Pass, [x, y, width, height]: [u32; 4], s: &mut Scratch) -> (Film, Counts) {
+        let mut film = Film::new([x, y], [width, height], self.settings.aovs);
+        let mut counts = Counts::default();
+        // Row by row, all samples of a pixel together: the order in which the cache counts is the order of pixels.
+        s.cameras.clear();
+        for row in y..y + height {
+            for column in x..x + width {
+                if !pass.lattice.takes(column, row) {
+                    continue;
+                }
+                for sample in pass.first..pass.first + pass.count {
+                    s.cameras.push(([column, row], sample));
+                    if s.cameras.len() == CHUNK {
+                        self.chunk(world, pass, s, &mut film, &mut counts);
+                    }
+                }
+            }
+        }
+        self.chunk(world, pass, s, &mut film, &mut counts);
+        world.sampler.tally(&mut s.draws);
+        (film, counts)
+    }
+
+    fn chunk(&self, world: &World<'_>, pass: &Pass, s: &mut Scratch, film: &mut Film, counts: &mut Counts) {
+        s.rays.clear();
+        s.samples.clear();
+        for &([x, y], sample) in &s.cameras {
+            let seed = random::hash(&[self.settings.seed, x, y, pass.sequence, 0]);
+            let [u, v] = random::sobol2(sample, seed).map(random::unit);
+            let filter = self.settings.filter;
+            s.rays.push(self.view.ray(x as f32 + 0.5 + filter.offset(u), y as f32 + 0.5 + filter.offset(v)));
+        }
+        counts.camera_rays += s.rays.len() as u64;
+        nearest(self.scene, self.accel, &s.rays, &mut s.hits, &mut s.visibility);
+        for i in 0..s.rays.len() {
+            let ([x, y], sample) = s.cameras[i];
+            let (ray, hit) = (&s.rays[i], &s.hits[i]);
+            if !hit.is_hit() {
+                s.samples.push(self.miss(ray));
+                continue;
+            }
+            let surface = self.scene.surface(ray, hit);
+            let point = Shading {
+                pixel: [x, y],
+                distance: hit.t,
+                wo: -ray.dir,
+                surface: &surface,
+                numbers: Numbers { seed: random::hash(&[self.settings.seed, x, y, pass.sequence, 1]), sample },
+                rays: self.settings.rays,
+            };
+            s.queue.sample = i as u32;
+            let radiance = self.integrator.shade(world, &point, &mut s.draws, &mut s.queue);
+            counts.rays_asked += u64::from(self.settings.rays);
+            let aovs = self.settings.aovs.then_some(AovSample {
+                albedo: surface.base_color,
+                normal: surface.ns,
+                depth: hit.t,
+                position: surface.position,
+                light: [0.0; 2],
+            });
+            s.samples.push(Sample { radiance, alpha: 1.0, aovs });
+            if s.queue.rays.len() >= BATCH {
+                flush(world, s, counts);
+            }
+        }
+        flush(world, s, counts);
+        for (&(pixel, sample), value) in s.cameras.iter().zip(&s.samples) {
+            if value.radiance.is_finite() {
+                film.add(film.index(pixel), value, pass.weight);
+            } else {
+                counts.dropped += 1;
+                counts.dropped_at.get_or_insert([pixel[0], pixel[1], sample]);
+            }
+        }
+        s.cameras.clear();
+    }
+
+    fn miss(&self, ray: &Ray) -> Sample {
+        let radiance = match self.settings.background {
+            Background::Dome if self.integrator.shows_dome() => self.dome.lookup(ray.dir).0,
+            _ => Vec3::ZERO,
+        };
+        let alpha = if self.settings.background == Background::Transparent { 0.0 } else { 1.0 };
+        Sample { radiance, alpha, aovs: self.settings.aovs.then_some(AovSample::default()) }
+    }
+}
+
+/// Traces the queue and adds what arrives to its samples.
+fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
+    let queue = &mut s.queue;
+    counts.shadow_rays += queue.rays.len() as u64;
+    visibility::occluded(world.scene, world.accel, &queue.rays, &mut s.occluded, &mut s.visibility);
+    for i in 0..queue.rays.len() {
+        let sample = &mut s.samples[queue.samples[i] as usize];
+        let arrives = s.occluded[i] == 0;
+        if arrives {
+            sample.radiance += queue.contributions[i];
+            counts.max_weight = counts.max_weight.max(queue.contributions[i].max_element());
+        }
+        if let Some(aovs) = &mut sample.aovs {
+            let light = Dome::weight(queue.contributions[i].to_array());
+            aovs.light[1] += light;
+            aovs.light[0] += if arrives { light } else { 0.0 };
+        }
+    }
+    world.sampler.observe(&queue.targets, &s.occluded);
+    s.occluded.clear();
+    s.occluded.resize(queue.hidden.len(), 1);
+    world.sampler.observe(&queue.hidden, &s.occluded);
+    queue.clear();
+}
+
+/// A thread's memory, used again from tile to tile.
+#[derive(Debug, Default)]
+struct Scratch {
+    cameras: Vec<([u32; 2], u32)>,
+    rays: Vec<Ray>,
+    hits: Vec<Hit>,
+    samples: Vec<Sample>,
+    occluded: Vec<u8>,
+    draws: Draws,
+    queue: Queue,
+    visibility: visibility::Scratch,
+}

@@ -1,0 +1,246 @@
+//! The cells directions are drawn in: the dome's texels, or equal parts of them where the image is small.
+//!
+//! A tiny image (1×1, 2×1, 16×8) would leave all of the stratification to the place inside a texel; cut into cells of a
+//! few degrees, every dome is sampled by one mechanism. Directions are uniform in solid angle inside a cell (linear in
+//! azimuth and in height) and come from tables: no trigonometry a sample, no cancellation at the poles.
+
+use super::tessellation::Cells;
+use crate::dome::Dome;
+use glam::{DVec3, Vec3};
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+/// Images narrower than this are cut into finer cells.
+const LEAST_WIDTH: u32 = 512;
+
+/// A dome's cells.
+#[derive(Debug)]
+pub struct DomeCells {
+    dome: Arc<Dome>,
+    /// How many cells a texel's side holds.
+    parts: u32,
+    width: u32,
+    height: u32,
+    columns: Vec<Column>,
+    rows: Vec<Row>,
+    /// What a draw reads of a column and of a row: small, to stay close.
+    draw_columns: Vec<[f32; 2]>,
+    draw_rows: Vec<DrawRow>,
+    /// Half a cell's azimuth.
+    half_azimuth: f32,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Column {
+    cos: f64,
+    sin: f64,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct DrawRow {
+    /// 1 − |y| at the cell's top and its change to the bottom.
+    t: f32,
+    dt: f32,
+    sign: f32,
+    solid_angle: f32,
+}
+
+/// A cell by its row (high half) and column (low half).
+#[derive(Debug, Clone, Copy)]
+pub struct Place(u32);
+
+#[derive(Debug, Clone, Copy)]
+struct Row {
+    draw: DrawRow,
+    solid_angle: f64,
+    center: [f64; 2],
+    /// Mean of (ring radius, y) over the cell, times what averaging over the azimuth leaves of the ring.
+    mean: [f64; 2],
+}
+
+impl DomeCells {
+    /// The cells of a dome.
+    pub fn new(dome: Arc<Dome>) -> Self {
+        let parts = LEAST_WIDTH.div_ceil(dome.grid.width).max((LEAST_WIDTH / 2).div_ceil(dome.grid.height)).max(1);
+        let (width, height) = (dome.grid.width * parts, dome.grid.height * parts);
+        let half_azimuth = PI / f64::from(width);
+        let columns = (0..width)
+            .map(|i| {
+                let (sin, cos) = dome.grid.azimuth((f64::from(i) + 0.5) / f64::from(parts)).sin_cos();
+                Column { cos, sin }
+            })
+            .collect::<Vec<_>>();
+        let step = PI / f64::from(height);
+        let rows = (0..height)
+            .map(|i| {
+                let (top, bottom) = (f64::from(i) * step, f64::from(i + 1) * step);
+                let middle = 0.5 * (top + bottom);
+                // 1 − |cos θ| = 2 sin²(θ/2), from the nearer pole. The middle row of an odd image spans the equator:
+                // there |y| is not linear, so it is measured from the upper pole throughout.
+                let upper = middle <= 0.5 * PI + 1e-9;
+                let from_pole = |theta: f64| 2.0 * (0.5 * if upper { theta } else { PI - theta }).sin().powi(2);
+                let height = 2.0 * middle.sin() * (0.5 * step).sin();
+                // ∫ sin²θ dθ / ∫ sin θ dθ and ∫ sin θ cos θ dθ / ∫ sin θ dθ, sums and differences as products.
+                let ring = 0.5 * (step - (2.0 * middle).cos() * step.sin()) / height;
+                let up = 0.5 * (2.0 * middle).sin() * step.sin() / height;
+                let solid_angle = 2.0 * half_azimuth * height;
+                Row {
+                    draw: DrawRow {
+                        t: from_pole(top) as f32,
+                        dt: (from_pole(bottom) - from_pole(top)) as f32,
+                        sign: if upper { 1.0 } else { -1.0 },
+                        solid_angle: solid_angle as f32,
+                    },
+                    solid_angle,
+                    center: [middle.sin(), middle.cos()],
+                    mean: [ring * half_azimuth.sin() / half_azimuth, up],
+                }
+            })
+            .collect::<Vec<_>>();
+        let draw_columns = columns.iter().map(|c| [c.cos as f32, c.sin as f32]).collect();
+        let draw_rows = rows.iter().map(|row| row.draw).collect();
+        let half_azimuth = half_azimuth as f32;
+        Self { dome, parts, width, height, columns, rows, draw_columns, draw_rows, half_azimuth }
+    }
+
+    /// The dome.
+    pub fn dome(&self) -> &Arc<Dome> {
+        &self.dome
+    }
+
+    /// Column and row of a cell.
+    #[inline(always)]
+    fn place(&self, cell: u32) -> (u32, u32) {
+        (cell % self.width, cell / self.width)
+    }
+
+    /// The texel a cell belongs to.
+    #[inline(always)]
+    pub fn texel(&self, cell: u32) -> u32 {
+        if self.parts == 1 {
+            return cell;
+        }
+        let (column, row) = self.place(cell);
+        row / self.parts * self.dome.grid.width + column / self.parts
+    }
+
+    /// The cell a direction lies in, whose texel is known.
+    pub fn cell(&self, dir: Vec3, texel: u32) -> u32 {
+        if self.parts == 1 {
+            return texel;
+        }
+        let grid = crate::dome::project::Grid { width: self.width, height: self.height, ..self.dome.grid };
+        let (column, row) = self.place(grid.texel(dir));
+        // Rounding may put the direction into a neighbour of the texel it came from.
+        let (tx, ty) = (texel % self.dome.grid.width * self.parts, texel / self.dome.grid.width * self.parts);
+        let column = column.clamp(tx, tx + self.parts - 1);
+        let row = row.clamp(ty, ty + self.parts - 1);
+        row * self.width + column
+    }
+
+    /// Radiance of a cell.
+    #[inline(always)]
+    pub fn radiance(&self, cell: u32) -> Vec3 {
+        Vec3::from(self.dome.texels[self.texel(cell) as usize])
+    }
+
+    /// Solid angle of a cell, steradians.
+    #[inline(always)]
+    pub fn solid_angle(&self, cell: u32) -> f64 {
+        self.rows[(cell / self.width) as usize].solid_angle
+    }
+
+    /// The mean of all unit directions in a cell (shorter than 1): ∫ ω dω / Ω, exactly.
+    pub fn mean_direction(&self, cell: u32) -> DVec3 {
+        let (column, row) = self.place(cell);
+        let (column, [ring, up]) = (self.columns[column as usize], self.rows[row as usize].mean);
+        DVec3::new(ring * column.cos, up, ring * column.sin)
+    }
+
+    /// An upper bound on the angle between a cell's centre and any direction in it, radians.
+    pub fn half_diagonal(&self) -> f64 {
+        0.5 * (PI / f64::from(self.height)).hypot(2.0 * PI / f64::from(self.width))
+    }
+
+    /// Row and column of a cell, for [`Self::direction`].
+    pub fn locate(&self, cell: u32) -> Place {
+        let (column, row) = self.place(cell);
+        Place(row << 16 | column)
+    }
+
+    /// The direction at (x, y) ∈ [0, 1)² of a cell, uniform in solid angle, and the cell's solid angle.
+    #[inline(always)]
+    pub fn direction(&self, Place(place): Place, x: f32, y: f32) -> (Vec3, f32) {
+        let ([c, s], row) = (self.draw_columns[(place & 0xffff) as usize], self.draw_rows[(place >> 16) as usize]);
+        let t = row.t + y * row.dt;
+        let ring = (t * (2.0 - t)).max(0.0).sqrt();
+        // A small turn from the column's middle: the series' next terms are below 1e-10 for 512 columns and more.
+        let d = (2.0 * x - 1.0) * self.half_azimuth;
+        let (sin, cos) = (d - d * d * d * (1.0 / 6.0), 1.0 - 0.5 * d * d);
+        let dir = Vec3::new(ring * (c * cos - s * sin), row.sign * (1.0 - t), ring * (s * cos + c * sin));
+        (dir, row.solid_angle)
+    }
+}
+
+impl Cells for DomeCells {
+    fn len(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+
+    #[inline(always)]
+    fn center(&self, cell: u32) -> DVec3 {
+        let (column, row) = self.place(cell);
+        let (column, [ring, up]) = (self.columns[column as usize], self.rows[row as usize].center);
+        DVec3::new(ring * column.cos, up, ring * column.sin)
+    }
+
+    #[inline(always)]
+    fn energy(&self, cell: u32) -> f64 {
+        let texel = self.dome.texels[self.texel(cell) as usize];
+        f64::from(Dome::weight(texel)) * self.solid_angle(cell)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dome::{Faults, project::Grid};
+
+    fn cells(width: u32, height: u32, degrees: f64) -> DomeCells {
+        let grid = Grid::new(width, height, degrees);
+        DomeCells::new(Arc::new(Dome { grid, texels: vec![[1.0; 3]; grid.len()], faults: Faults::default() }))
+    }
+
+    #[test]
+    fn a_direction_lies_in_its_cell_and_is_of_unit_length() {
+        for (w, h) in [(1, 1), (2, 1), (3, 7), (512, 256), (1023, 511)] {
+            let c = cells(w, h, 33.0);
+            for cell in (0..c.len() as u32).step_by(1 + c.len() / 2000) {
+                for (x, y) in [(0.5, 0.5), (0.01, 0.01), (0.99, 0.99), (0.01, 0.99)] {
+                    let (dir, _) = c.direction(c.locate(cell), x, y);
+                    assert!((dir.length() - 1.0).abs() < 1e-6, "{w}×{h} cell {cell}: {}", dir.length());
+                    assert_eq!(c.cell(dir, c.texel(cell)), cell, "{w}×{h}");
+                    assert_eq!(c.dome().grid.texel(dir), c.texel(cell), "{w}×{h}");
+                    let angle = f64::from(dir.dot(c.center(cell).as_vec3()).min(1.0)).acos();
+                    assert!(angle < c.half_diagonal() + 1e-3);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn mean_directions_are_the_means_of_directions() {
+        let c = cells(3, 7, 10.0);
+        for cell in [0, 5000, 77_777, c.len() as u32 - 1] {
+            let mut sum = DVec3::ZERO;
+            for i in 0..64 {
+                for j in 0..64 {
+                    sum += c.direction(c.locate(cell), (i as f32 + 0.5) / 64.0, (j as f32 + 0.5) / 64.0).0.as_dvec3();
+                }
+            }
+            assert!((sum / 4096.0 - c.mean_direction(cell)).length() < 1e-6, "cell {cell}");
+        }
+        let total: f64 = (0..c.len() as u32).map(|cell| c.solid_angle(cell)).sum();
+        assert!((total / (4.0 * PI) - 1.0).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,172 @@
+//! Irradiance of every triangle as a function of the surface normal, without a table.
+//!
+//! For a triangle t with radiance L let F_t = ∫_t L ω dω. Its irradiance on a surface with normal n is *exactly* n·F_t
+//! when the triangle lies above the horizon, and 0 below. What remains is the band of triangles that the horizon
+//! crosses. There a closed form stands in: with d = n·F_t and s = |F_t| sin(radius), which is d where the triangle just
+//! touches the horizon,
+//!
+//! ```text
+//!   e(d) = d                      for d ≥ s      (exact)
+//!        = s·max(x²/4, x/8)       for d = (x − 1)·s, 0 < x < 2
+//!        = 0                      for d ≤ −s     (exact)
+//! ```
+//!
+//! It is positive wherever the triangle has a point above the horizon, and never so small that a sample's weight
+//! exceeds eight times its triangle's. It goes into densities only; control variates use the exact part.
+
+use super::cells::DomeCells;
+use super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Moments of a set of triangles as structure of arrays.
+#[derive(Debug, Default)]
+pub struct Moments {
+    /// F_t of the scalar weight.
+    pub x: Vec<f32>,
+    /// F_t of the scalar weight.
+    pub y: Vec<f32>,
+    /// F_t of the scalar weight.
+    pub z: Vec<f32>,
+    /// |F_t| sin(radius).
+    pub s: Vec<f32>,
+    /// F_t a channel: nine rows, x of red, y of red, … z of blue.
+    pub rgb: [Vec<f32>; 9],
+}
+
+impl Moments {
+    fn with_len(n: usize) -> Self {
+        let row = || vec![0.0; n];
+        Self { x: row(), y: row(), z: row(), s: row(), rgb: std::array::from_fn(|_| row()) }
+    }
+
+    fn set(&mut self, i: usize, triangle: &Triangle) {
+        let f = triangle.weight.as_vec3();
+        (self.x[i], self.y[i], self.z[i]) = (f.x, f.y, f.z);
+        self.s[i] = triangle.s();
+        for (channel, f) in triangle.rgb.iter().enumerate() {
+            let f = f.as_vec3();
+            for (axis, value) in [f.x, f.y, f.z].into_iter().enumerate() {
+                self.rgb[3 * channel + axis][i] = value;
+            }
+        }
+    }
+
+    /// Irradiance a channel of triangle `i`, exact where it lies above the horizon of `n`.
+    #[inline(always)]
+    pub fn irradiance(&self, i: usize, n: Vec3) -> Vec3 {
+        let channel = |c: usize| n.x * self.rgb[3 * c][i] + n.y * self.rgb[3 * c + 1][i] + n.z * self.rgb[3 * c + 2][i];
+        Vec3::new(channel(0), channel(1), channel(2))
+    }
+}
+
+/// The scalar irradiance estimate e(d) of the module's head.
+#[inline(always)]
+pub fn soft(d: f32, s: f32) -> f32 {
+    // Plain comparisons are what vector units have; f32::max would see to NaN as well.
+    let max = |a: f32, b: f32| if a > b { a } else { b };
+    let above = max(d + s, 0.0);
+    // x = above/s; s = 0 only for an empty triangle, where d = 0 too.
+    let inside = max(above * above * (0.25 / max(s, f32::MIN_POSITIVE)), 0.125 * above);
+    if d >= s { d } else { inside }
+}
+
+/// One triangle's sums while it is made.
+#[derive(Debug, Clone)]
+struct Triangle {
+    weight: DVec3,
+    rgb: [DVec3; 3],
+    radius: f64,
+}
+
+impl Triangle {
+    fn new(cells: &DomeCells, members: &[u32]) -> Self {
+        let (mut weight, mut rgb) = (DVec3::ZERO, [DVec3::ZERO; 3]);
+        for &cell in members {
+            let mean = cells.mean_direction(cell);
+            let radiance = cells.radiance(cell);
+            weight += cells.energy(cell) * mean;
+            for (sum, l) in rgb.iter_mut().zip(radiance.to_array()) {
+                *sum += f64::from(l) * cells.solid_angle(cell) * mean;
+            }
+        }
+        Self { weight, rgb, radius: radius(cells, weight, members) }
+    }
+
+    fn s(&self) -> f32 {
+        // A wide triangle has no exact part; a little more than the bound, for f32's sake.
+        let sine = if self.radius < 1.5 { self.radius.sin() } else { 1.0 };
+        (self.weight.length() * (sine * 1.0001 + 1e-6)) as f32
+    }
+}
+
+/// The largest angle between an axis and any direction in the cells.
+fn radius(cells: &DomeCells, axis: DVec3, members: &[u32]) -> f64 {
+    let axis = axis.normalize_or_zero();
+    // By the chord: acos has no digits left for the small angles this is about.
+    let chord = members.iter().map(|&cell| (cells.center(cell) - axis).length_squared()).fold(0.0, f64::max).sqrt();
+    2.0 * (0.5 * chord).min(1.0).asin() + cells.half_diagonal()
+}
+
+/// Lanes that groups are dealt to.
+pub const GROUP_LANES: usize = 16;
+
+/// Lanes that a group's leaves are dealt to.
+pub const LEAF_LANES: usize = 8;
+
+/// The preconvolved tessellation.
+///
+/// Groups and leaves stand in *lanes*: the curve is cut into as many equal pieces as there are lanes, and the i-th of
+/// every piece stand side by side. Sums along the curve are then sums down the lanes, for all lanes at once, and one
+/// short sum across them.
+#[derive(Debug, Default)]
+pub struct Preconvolution {
+    /// Groups in [`GROUP_LANES`] lanes, padded with empty ones.
+    pub groups: Moments,
+    /// Leaves: those of the group in slot g at g·[`LEAVES_A_GROUP`], in [`LEAF_LANES`] lanes, padded with empty ones.
+    pub leaves: Moments,
+    /// The cells of each leaf as a range of the tessellation's; empty for padding.
+    pub cells: Vec<Range<usize>>,
+    /// How many groups there are, padding not counted.
+    pub group_count: usize,
+}
+
+/// Where the `i`-th of `count` stands when they are dealt to `lanes` lanes.
+fn slot(i: usize, count: usize, lanes: usize) -> usize {
+    let rows = count / lanes;
+    i % rows * lanes + i / rows
+}
+
+impl Preconvolution {
+    /// Sums up a tessellation's triangles, in f64.
+    pub fn new(cells: &DomeCells, tessellation: &Tessellation) -> Self {
+        let leaves: Vec<Triangle> =
+            tessellation.leaves.par_iter().map(|r| Triangle::new(cells, &tessellation.cells[r.clone()])).collect();
+        let group_count = tessellation.groups.len();
+        let padded = group_count.next_multiple_of(GROUP_LANES);
+        let mut result = Self {
+            groups: Moments::with_len(padded),
+            leaves: Moments::with_len(padded * LEAVES_A_GROUP),
+            cells: vec![0..0; padded * LEAVES_A_GROUP],
+            group_count,
+        };
+        for (g, range) in tessellation.groups.iter().enumerate() {
+            let g = slot(g, padded, GROUP_LANES);
+            let mut whole = Triangle { weight: DVec3::ZERO, rgb: [DVec3::ZERO; 3], radius: 0.0 };
+            for (i, leaf) in range.clone().enumerate() {
+                let at = g * LEAVES_A_GROUP + slot(i, LEAVES_A_GROUP, LEAF_LANES);
+                result.leaves.set(at, &leaves[leaf]);
+                result.cells[at] = tessellation.leaves[leaf].clone();
+                whole.weight += leaves[leaf].weight;
+                for (sum, f) in whole.rgb.iter_mut().zip(leaves[leaf].rgb) {
+                    *sum += f;
+                }
+            }
+            let members = tessellation.leaves[range.start].start..tessellation.leaves[range.end - 1].end;
+            whole.radius = radius(cells, whole.weight, &tessellation.cells[members]);
+            result.groups.set(g, &whole);
+        }
+        result
+    }
+}

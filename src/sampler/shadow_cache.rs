@@ -1,0 +1,190 @@
+//! What the image's own shadow rays saw, by place and group of triangles.
+//!
+//! A record belongs to a block of pixels, a dominant axis of the surface normal and a range of distances: keyed relative
+//! to the pixel's footprint by construction, never to metres, and bounded by the image's size. It counts, for each
+//! group of the tessellation, rays and rays that arrived. Between stages the counts become visibilities m: the mean of a
+//! Beta posterior whose prior is the neighbourhood, in two steps, along the dome (the group's neighbours on the curve)
+//! and then the record's own counts.
+//!
+//! Counts are integers and a block is only ever written by the tile that owns it, in the order of its pixels: the cache
+//! is the same for any number of threads.
+
+use super::preconvolution::GROUP_LANES;
+use glam::Vec3;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicU16, AtomicU32, AtomicU64, Ordering::Relaxed};
+
+/// Records a block may hold: a silhouette or a corner has two or three surfaces in sight.
+const SLOTS: usize = 4;
+
+/// Counts are halved when they reach this many rays: what was seen long ago fades.
+const MOST: u16 = 128;
+
+/// The weight of the prior, in rays.
+const PRIOR: f32 = 2.0;
+
+/// The target of a ray that nothing is learned from.
+pub const NO_TARGET: u32 = u32::MAX;
+
+/// The cache.
+#[derive(Debug)]
+pub struct ShadowCache {
+    groups: usize,
+    block: u32,
+    blocks: [u32; 2],
+    /// The record's key in each slot of each block, 0 for none.
+    keys: Vec<AtomicU32>,
+    /// Rays in the high byte, rays that arrived in the low one.
+    counts: Vec<AtomicU16>,
+    /// m in 255ths, as of the last stage.
+    visibility: Vec<u8>,
+    /// Which slots `visibility` speaks of.
+    frozen: Vec<u32>,
+    lookups: AtomicU64,
+    hits: AtomicU64,
+}
+
+/// A record that was found.
+#[derive(Debug, Clone, Copy)]
+pub struct Record<'a> {
+    /// m of each group in 255ths.
+    pub visibility: &'a [u8],
+}
+
+impl ShadowCache {
+    /// A cache for an image of `size` pixels and `groups` groups (in [`GROUP_LANES`] lanes) within `budget` bytes.
+    /// The block's side follows from the budget; at least `least` pixels.
+    pub fn new(size: [u32; 2], groups: usize, budget: u64, least: u32) -> Self {
+        debug_assert!(groups.is_multiple_of(GROUP_LANES));
+        let bytes_a_block = (SLOTS * (groups * 3 + 8)) as u64;
+        let mut block = least.max(1);
+        let blocks_of = |block: u32| size.map(|side| side.div_ceil(block).max(1));
+        while blocks_of(block).map(u64::from).iter().product::<u64>() * bytes_a_block > budget && block < 4096 {
+            block *= 2;
+        }
+        let blocks = blocks_of(block);
+        let slots = blocks.map(|b| b as usize).iter().product::<usize>() * SLOTS;
+        Self {
+            groups,
+            block,
+            blocks,
+            keys: (0..slots).map(|_| AtomicU32::new(0)).collect(),
+            counts: (0..slots * groups).map(|_| AtomicU16::new(0)).collect(),
+            visibility: vec![0; slots * groups],
+            frozen: vec![0; slots],
+            lookups: AtomicU64::new(0),
+            hits: AtomicU64::new(0),
+        }
+    }
+
+    /// The key of a surface: the normal's dominant axis and the distance's octave-fraction. Never 0.
+    #[inline]
+    pub fn key(normal: Vec3, distance: f32, jitter: f32) -> u32 {
+        let a = normal.abs();
+        let (axis, negative) = if a.x >= a.y && a.x >= a.z {
+            (0, normal.x < 0.0)
+        } else if a.y >= a.z {
+            (1, normal.y < 0.0)
+        } else {
+            (2, normal.z < 0.0)
+        };
+        // Four steps an octave.
+        let step = (distance.max(1e-30).log2() * 4.0 + jitter + 1024.0) as u32;
+        1 + axis * 2 + u32::from(negative) + (step << 3)
+    }
+
+    fn block_of(&self, x: f32, y: f32) -> usize {
+        let side = self.block as f32;
+        let clamp = |v: f32, n: u32| ((v / side) as u32).min(n - 1) as usize;
+        clamp(y, self.blocks[1]) * self.blocks[0] as usize + clamp(x, self.blocks[0])
+    }
+
+    /// The frozen record that a point reads. `jitter` (two numbers in [−½, ½)) moves the look-up by up to half a block,
+    /// so that the edges of blocks turn into noise.
+    pub fn find(&self, pixel: [u32; 2], key: u32, jitter: [f32; 2]) -> Option<Record<'_>> {
+        let side = self.block as f32;
+        let [x, y] = [0, 1].map(|i| pixel[i] as f32 + 0.5);
+        let moved = self.block_of((x + jitter[0] * side).max(0.0), (y + jitter[1] * side).max(0.0));
+        let own = self.block_of(x, y);
+        let slot = [moved, own]
+            .into_iter()
+            .find_map(|block| (block * SLOTS..(block + 1) * SLOTS).find(|&slot| self.frozen[slot] == key));
+        slot.map(|slot| Record { visibility: &self.visibility[slot * self.groups..(slot + 1) * self.groups] })
+    }
+
+    /// Where the rays of a point are counted: the index of its first group, [`NO_TARGET`] when its block is full.
+    pub fn admit(&self, pixel: [u32; 2], key: u32) -> u32 {
+        let block = self.block_of(pixel[0] as f32 + 0.5, pixel[1] as f32 + 0.5);
+        for slot in block * SLOTS..(block + 1) * SLOTS {
+            let held = self.keys[slot].load(Relaxed);
+            if held == 0 {
+                self.keys[slot].store(key, Relaxed);
+            }
+            if held == 0 || held == key {
+                return (slot * self.groups) as u32;
+            }
+        }
+        NO_TARGET
+    }
+
+    /// Counts one ray.
+    #[inline]
+    pub fn count(&self, target: u32, occluded: u8) {
+        // A plain load and store: a block has one writer at a time.
+        let counter = &self.counts[target as usize];
+        let mut value = counter.load(Relaxed);
+        if value >> 8 >= MOST {
+            value = (value >> 9 << 8) | ((value & 0xff) >> 1);
+        }
+        counter.store(value + 0x100 + u16::from(occluded == 0), Relaxed);
+    }
+
+    /// Counts look-ups for the statistics.
+    pub fn tally(&self, lookups: u64, hits: u64) {
+        self.lookups.fetch_add(lookups, Relaxed);
+        self.hits.fetch_add(hits, Relaxed);
+    }
+
+    /// Turns what was counted into what is looked up.
+    pub fn freeze(&mut self) {
+        let Self { keys, counts, visibility, frozen, groups, .. } = self;
+        let groups = *groups;
+        for (frozen, key) in frozen.iter_mut().zip(keys.iter()) {
+            *frozen = key.load(Relaxed);
+        }
+        let frozen = &*frozen;
+        visibility.par_chunks_mut(groups).enumerate().filter(|(slot, _)| frozen[*slot] != 0).for_each(|(slot, m)| {
+            let counts = &counts[slot * groups..(slot + 1) * groups];
+            let read = |g: usize| {
+                let value = counts[g].load(Relaxed);
+                (f32::from(value & 0xff), f32::from(value >> 8))
+            };
+            let posterior = |(seen, rays): (f32, f32), prior: f32| (seen + PRIOR * prior) / (rays + PRIOR);
+            // A lane is a piece of the curve: neighbours on the dome share what is known of them.
+            let mut lanes = [(0.0, 0.0); GROUP_LANES];
+            for g in 0..groups {
+                let (seen, rays) = read(g);
+                let lane = &mut lanes[g % GROUP_LANES];
+                *lane = (lane.0 + seen, lane.1 + rays);
+            }
+            let whole = posterior(lanes.iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1)), 0.5);
+            let near = lanes.map(|lane| posterior(lane, whole));
+            for (g, m) in m.iter_mut().enumerate() {
+                *m = (posterior(read(g), near[g % GROUP_LANES]) * 255.0 + 0.5) as u8;
+            }
+        });
+    }
+
+    /// Records, bytes, hit rate.
+    pub fn stats(&self) -> (u64, u64, f64) {
+        let records = self.frozen.iter().filter(|&&key| key != 0).count() as u64;
+        let bytes = records * (self.groups as u64 * 3) + self.keys.len() as u64 * 8;
+        let lookups = self.lookups.load(Relaxed).max(1);
+        (records, bytes, self.hits.load(Relaxed) as f64 / lookups as f64)
+    }
+
+    /// The side of a block, pixels.
+    pub fn block(&self) -> u32 {
+        self.block
+    }
+}

@@ -1,0 +1,402 @@
+//! The dome cut into spherical triangles: an icosahedron, split four ways where it pays.
+//!
+//! Splitting is greedy by a priority of energy and solid angle. It runs twice: first into *groups*, the cells of which
+//! the shadow cache knows the visibility, then every group into its *leaves*, inside which the cosine hardly changes.
+//! Each cell of the image belongs to the leaf its centre lies in, so that leaves partition the cells exactly, whatever
+//! the rounding. Triangles follow one continuous curve over the sphere (a child's curve enters where its predecessor's
+//! ended): neighbours along the curve are neighbours on the dome, so one stratified number stratifies directions.
+
+use glam::DVec3;
+use rayon::prelude::*;
+use std::collections::BinaryHeap;
+use std::ops::Range;
+
+/// The most leaves a group may have.
+pub const LEAVES_A_GROUP: usize = 32;
+
+/// How deep triangles are split at most; a triangle of that level is 2e-4 rad across, below a texel of any dome.
+const DEEPEST: u32 = 13;
+
+/// The image's cells as the tessellation sees them.
+pub trait Cells: Sync {
+    /// How many there are.
+    fn len(&self) -> usize;
+    /// The direction of a cell's centre.
+    fn center(&self, cell: u32) -> DVec3;
+    /// Its energy: scalar weight × solid angle; 0 for a black cell, which no triangle takes.
+    fn energy(&self, cell: u32) -> f64;
+}
+
+/// A finished tessellation.
+#[derive(Debug, Default)]
+pub struct Tessellation {
+    /// Lit cells, leaf by leaf along the curve.
+    pub cells: Vec<u32>,
+    /// The cells of each leaf as a range of `cells`, group by group.
+    pub leaves: Vec<Range<usize>>,
+    /// The leaves of each group as a range of `leaves`.
+    pub groups: Vec<Range<usize>>,
+    /// Corners of each leaf.
+    pub corners: Vec<[DVec3; 3]>,
+}
+
+#[derive(Debug, Clone)]
+struct Node {
+    /// Where the curve enters, the corner it passes by, where it leaves.
+    corners: [DVec3; 3],
+    cells: Range<usize>,
+    energy: f64,
+    depth: u32,
+    group: usize,
+}
+
+struct Queued {
+    priority: f64,
+    node: usize,
+}
+
+impl PartialEq for Queued {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+impl Eq for Queued {}
+impl PartialOrd for Queued {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl Ord for Queued {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        // Ties by index, so that the tessellation is a function of the dome alone.
+        self.priority.total_cmp(&other.priority).then(other.node.cmp(&self.node))
+    }
+}
+
+impl Tessellation {
+    /// Cuts the dome into at most `groups` groups and `triangles` leaves.
+    pub fn new(cells: &impl Cells, groups: usize, triangles: usize) -> Self {
+        let (mut order, faces) = sort_into_faces(cells);
+        let total: f64 = faces.iter().map(|f| f.energy).sum();
+        let mut scratch = Vec::new();
+
+        // Groups: a cell of the cache must be small where the light is, but darkness, too, wants its share: what lies
+        // in the sun's shadow is lit by the rest.
+        let group_priority = |node: &Node| (node.energy / total).sqrt() * solid_angle(node).sqrt();
+        let grow = Grow { cells, scratch: &mut scratch, order: &mut order };
+        let mut nodes = grow.run(faces, groups, usize::MAX, group_priority);
+        for (i, node) in nodes.iter_mut().enumerate() {
+            node.group = i;
+        }
+
+        // Leaves: the cosine's variance inside a triangle goes with its solid angle.
+        let leaf_priority = |node: &Node| (node.energy / total).sqrt() * solid_angle(node);
+        let grow = Grow { cells, scratch: &mut scratch, order: &mut order };
+        let nodes = grow.run(nodes, triangles, LEAVES_A_GROUP, leaf_priority);
+
+        let mut result = Self { cells: order, ..Self::default() };
+        for node in nodes {
+            if result.groups.len() <= node.group {
+                result.groups.push(result.leaves.len()..result.leaves.len());
+            }
+            result.leaves.push(node.cells);
+            result.corners.push(node.corners);
+            let last = result.groups.len() - 1;
+            result.groups[last].end += 1;
+        }
+        result
+    }
+}
+
+struct Grow<'a, C> {
+    cells: &'a C,
+    order: &'a mut [u32],
+    scratch: &'a mut Vec<u32>,
+}
+
+impl<C: Cells> Grow<'_, C> {
+    /// Splits until there are `most` triangles or none that can be split, no group getting more than `most_a_group`;
+    /// returns the leaves along the curve.
+    fn run(self, start: Vec<Node>, most: usize, most_a_group: usize, priority: impl Fn(&Node) -> f64) -> Vec<Node> {
+        let mut in_group = vec![0usize; start.len()];
+        let mut next: Vec<Option<[Option<usize>; 4]>> = vec![None; start.len()];
+        let mut nodes = start;
+        let roots = nodes.len();
+        let mut heap: BinaryHeap<_> =
+            (0..roots).map(|node| Queued { priority: priority(&nodes[node]), node }).collect();
+        for node in &nodes {
+            in_group[node.group] += 1;
+        }
+        let mut count = roots;
+        while count + 3 <= most {
+            let Some(Queued { node, .. }) = heap.pop() else { break };
+            let group = nodes[node].group;
+            if nodes[node].cells.len() < 2 || nodes[node].depth >= DEEPEST || in_group[group] + 3 > most_a_group {
+                continue;
+            }
+            let parent = nodes[node].clone();
+            let mut slots = [None; 4];
+            for (slot, child) in slots.iter_mut().zip(split(self.cells, self.order, self.scratch, &parent)) {
+                if !child.cells.is_empty() {
+                    *slot = Some(nodes.len());
+                    heap.push(Queued { priority: priority(&child), node: nodes.len() });
+                    nodes.push(child);
+                    next.push(None);
+                    count += 1;
+                    in_group[group] += 1;
+                }
+            }
+            count -= 1;
+            in_group[group] -= 1;
+            next[node] = Some(slots);
+        }
+        // Leaves in the curve's order: depth first over the splits.
+        let mut leaves = Vec::with_capacity(count);
+        let mut stack: Vec<usize> = (0..roots).rev().collect();
+        while let Some(node) = stack.pop() {
+            match &next[node] {
+                Some(slots) => stack.extend(slots.iter().rev().flatten()),
+                None => leaves.push(nodes[node].clone()),
+            }
+        }
+        leaves
+    }
+}
+
+/// The four children of a triangle in the curve's order, the parent's cells sorted into them in place.
+fn split(cells: &impl Cells, order: &mut [u32], scratch: &mut Vec<u32>, parent: &Node) -> [Node; 4] {
+    let [a, b, c] = parent.corners;
+    let (ab, bc, ca) = ((a + b).normalize(), (b + c).normalize(), (c + a).normalize());
+    let corners = [[a, ab, ca], [ca, bc, ab], [ab, b, bc], [bc, ca, c]];
+    // The planes that cut the corners off, positive on the corner's side.
+    let plane = |p: DVec3, q: DVec3, side: DVec3| {
+        let n = p.cross(q);
+        if n.dot(side) < 0.0 { -n } else { n }
+    };
+    let planes = [plane(ab, ca, a), plane(ab, bc, b), plane(bc, ca, c)];
+    let place = |cell: u32| {
+        let d = cells.center(cell);
+        if d.dot(planes[0]) > 0.0 {
+            0
+        } else if d.dot(planes[1]) > 0.0 {
+            2
+        } else if d.dot(planes[2]) > 0.0 {
+            3
+        } else {
+            1
+        }
+    };
+    let own = &mut order[parent.cells.clone()];
+    scratch.clear();
+    scratch.extend_from_slice(own);
+    let mut places = vec![0u8; own.len()];
+    let mut counts = [0usize; 4];
+    let mut energy = [0.0; 4];
+    for (place_of, &cell) in places.iter_mut().zip(own.iter()) {
+        let p = place(cell);
+        *place_of = p as u8;
+        counts[p] += 1;
+        energy[p] += cells.energy(cell);
+    }
+    let mut begin = [0; 4];
+    for i in 1..4 {
+        begin[i] = begin[i - 1] + counts[i - 1];
+    }
+    let mut at = begin;
+    for (&p, &cell) in places.iter().zip(scratch.iter()) {
+        own[at[p as usize]] = cell;
+        at[p as usize] += 1;
+    }
+    std::array::from_fn(|i| {
+        let first = parent.cells.start + begin[i];
+        Node {
+            corners: corners[i],
+            cells: first..first + counts[i],
+            energy: energy[i],
+            depth: parent.depth + 1,
+            group: parent.group,
+        }
+    })
+}
+
+fn solid_angle(node: &Node) -> f64 {
+    spherical_area(node.corners)
+}
+
+/// The solid angle of a spherical triangle (Van Oosterom & Strackee 1983: exact at every size).
+pub fn spherical_area([a, b, c]: [DVec3; 3]) -> f64 {
+    // The triple product from edge vectors: a·(b × c) cancels for small triangles.
+    let triple = a.dot((b - a).cross(c - a));
+    2.0 * triple.abs().atan2(1.0 + a.dot(b) + b.dot(c) + c.dot(a))
+}
+
+/// Lit cells sorted into the twenty faces of the icosahedron, along the curve.
+fn sort_into_faces(cells: &impl Cells) -> (Vec<u32>, Vec<Node>) {
+    let faces = icosahedron_path();
+    let centers: Vec<DVec3> = faces.iter().map(|[a, b, c]| (*a + *b + *c).normalize()).collect();
+    const DARK: u8 = u8::MAX;
+    // By symmetry a direction lies in the face whose centre is nearest.
+    let face_of: Vec<(u8, f64)> = (0..cells.len() as u32)
+        .into_par_iter()
+        .with_min_len(4096)
+        .map(|cell| {
+            let energy = cells.energy(cell);
+            if energy <= 0.0 {
+                return (DARK, 0.0);
+            }
+            let d = cells.center(cell);
+            let mut best = (0, f64::NEG_INFINITY);
+            for (i, center) in centers.iter().enumerate() {
+                let cosine = center.dot(d);
+                if cosine > best.1 {
+                    best = (i as u8, cosine);
+                }
+            }
+            (best.0, energy)
+        })
+        .collect();
+    let mut counts = [0usize; 20];
+    let mut energy = [0.0; 20];
+    for &(face, e) in face_of.iter().filter(|(face, _)| *face != DARK) {
+        counts[usize::from(face)] += 1;
+        energy[usize::from(face)] += e;
+    }
+    let mut begin = [0usize; 21];
+    for i in 0..20 {
+        begin[i + 1] = begin[i] + counts[i];
+    }
+    let mut order = vec![0; begin[20]];
+    let mut at = begin;
+    for (cell, &(face, _)) in face_of.iter().enumerate().filter(|(_, (face, _))| *face != DARK) {
+        order[at[usize::from(face)]] = cell as u32;
+        at[usize::from(face)] += 1;
+    }
+    let nodes = (0..20)
+        .map(|i| Node { corners: faces[i], cells: begin[i]..begin[i + 1], energy: energy[i], depth: 0, group: i })
+        .filter(|node| !node.cells.is_empty())
+        .enumerate()
+        .map(|(group, node)| Node { group, ..node })
+        .collect();
+    (order, nodes)
+}
+
+/// The icosahedron's faces, each [entry, passed by, exit], such that every face is entered where the one before it
+/// was left.
+fn icosahedron_path() -> Vec<[DVec3; 3]> {
+    let golden = (1.0 + 5f64.sqrt()) / 2.0;
+    let mut corners = Vec::new();
+    for (s, t) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
+        corners.push(DVec3::new(0.0, s, t * golden).normalize());
+        corners.push(DVec3::new(s, t * golden, 0.0).normalize());
+        corners.push(DVec3::new(t * golden, 0.0, s).normalize());
+    }
+    let edge = |a: usize, b: usize| a != b && corners[a].dot(corners[b]) > 0.4;
+    let mut faces = Vec::new();
+    for a in 0..12 {
+        for b in a + 1..12 {
+            for c in b + 1..12 {
+                if edge(a, b) && edge(b, c) && edge(a, c) {
+                    faces.push([a, b, c]);
+                }
+            }
+        }
+    }
+    // Depth-first search for a path over all faces; it is found at once and always the same.
+    fn extend(faces: &[[usize; 3]], used: &mut [bool], entry: usize, path: &mut Vec<[usize; 3]>) -> bool {
+        if path.len() == faces.len() {
+            return true;
+        }
+        for i in 0..faces.len() {
+            if used[i] || !faces[i].contains(&entry) {
+                continue;
+            }
+            let others: Vec<usize> = faces[i].iter().copied().filter(|&v| v != entry).collect();
+            for (by, exit) in [(others[0], others[1]), (others[1], others[0])] {
+                used[i] = true;
+                path.push([entry, by, exit]);
+                if extend(faces, used, exit, path) {
+                    return true;
+                }
+                path.pop();
+                used[i] = false;
+            }
+        }
+        false
+    }
+    let mut path = Vec::new();
+    let found = extend(&faces, &mut vec![false; faces.len()], faces[0][0], &mut path);
+    debug_assert!(found, "the icosahedron has such a path");
+    path.into_iter().map(|face| face.map(|v| corners[v])).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::PI;
+
+    struct Sphere {
+        directions: Vec<DVec3>,
+        sun: u32,
+    }
+
+    impl Cells for Sphere {
+        fn len(&self) -> usize {
+            self.directions.len()
+        }
+        fn center(&self, cell: u32) -> DVec3 {
+            self.directions[cell as usize]
+        }
+        fn energy(&self, cell: u32) -> f64 {
+            if cell == self.sun {
+                1000.0
+            } else if cell.is_multiple_of(10) {
+                0.0
+            } else {
+                0.01
+            }
+        }
+    }
+
+    fn fibonacci(n: usize) -> Sphere {
+        let directions = (0..n)
+            .map(|i| {
+                let y = 1.0 - (2.0 * i as f64 + 1.0) / n as f64;
+                let (sin, cos) = (i as f64 * PI * (3.0 - 5f64.sqrt())).sin_cos();
+                DVec3::new((1.0 - y * y).sqrt() * cos, y, (1.0 - y * y).sqrt() * sin)
+            })
+            .collect();
+        Sphere { directions, sun: 1234 }
+    }
+
+    #[test]
+    fn the_curve_is_continuous_and_faces_cover_the_sphere() {
+        let path = icosahedron_path();
+        assert_eq!(path.len(), 20);
+        for pair in path.windows(2) {
+            assert_eq!(pair[0][2], pair[1][0]);
+        }
+        let area: f64 = path.iter().map(|&f| spherical_area(f)).sum();
+        assert!((area - 4.0 * PI).abs() < 1e-12, "{area}");
+    }
+
+    #[test]
+    fn leaves_partition_the_lit_cells_and_the_sun_gets_its_own() {
+        let cells = fibonacci(20_000);
+        let t = Tessellation::new(&cells, 128, 2000);
+        let mut seen = vec![0; cells.len()];
+        for leaf in &t.leaves {
+            for &cell in &t.cells[leaf.clone()] {
+                seen[cell as usize] += 1;
+            }
+        }
+        for (cell, &count) in seen.iter().enumerate() {
+            assert_eq!(count, i32::from(cells.energy(cell as u32) > 0.0), "cell {cell}");
+        }
+        assert!(t.groups.len() <= 128 && t.groups.len() > 120, "{}", t.groups.len());
+        assert!(t.leaves.len() <= 2000 && t.leaves.len() > 1900, "{}", t.leaves.len());
+        assert_eq!(t.groups.iter().map(Range::len).sum::<usize>(), t.leaves.len());
+        assert!(t.groups.iter().all(|g| (1..=LEAVES_A_GROUP).contains(&g.len())));
+        let sun = t.leaves.iter().find(|leaf| t.cells[(*leaf).clone()].contains(&cells.sun)).unwrap();
+        assert_eq!(sun.len(), 1);
+    }
+}

@@ -1,0 +1,19 @@
+//! `domelight bench rays` without the rest of the program: `cargo bench --bench rays -- --generate terrain:300k`.
+
+#[path = "../../src/commands/bench_rays/mod.rs"]
+mod bench_rays;
+
+use clap::Parser;
+
+#[derive(Debug, Parser)]
+struct Command {
+    #[command(flatten)]
+    args: bench_rays::Args,
+    /// Given by cargo bench
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+fn main() -> anyhow::Result<()> {
+    bench_rays::run(Command::parse().args)
+}
