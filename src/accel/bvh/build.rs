@@ -5,6 +5,7 @@
 //! together at the end, in parallel.
 
 use super::node::{Aabb, BLOCK, Block, INSTANCE, Ids, LEAF, Node, Tree, WIDTH};
+use super::pages::Pages;
 use super::split::{Info, split};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -17,7 +18,7 @@ const DEEP: usize = 32;
 pub(super) const MAX_DEPTH: usize = DEEP + 11;
 
 /// A primitive: its box and what it is.
-#[derive(Debug, Clone, Copy, bytemuck::Zeroable)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub(super) struct Primitive {
     pub(super) low: Vec3,
@@ -61,8 +62,16 @@ enum Built {
 /// A subtree with references of its own; the root is the reference that leads into it.
 #[derive(Default)]
 struct Arena {
-    tree: Tree,
+    nodes: Vec<Node>,
+    blocks: Vec<Block>,
+    ids: Vec<Ids>,
     root: u32,
+}
+
+impl Arena {
+    fn bytes(&self) -> u64 {
+        (size_of_val(&*self.nodes) + size_of_val(&*self.blocks) + size_of_val(&*self.ids)) as u64
+    }
 }
 
 fn is_leaf(primitives: &[Primitive]) -> bool {
@@ -95,13 +104,13 @@ fn children(primitives: &mut [Primitive], info: Info, depth: usize) -> Vec<(&mut
 fn node(source: &impl Source, primitives: &mut [Primitive], info: Info, depth: usize) -> Built {
     if primitives.len() <= GRAIN {
         let mut arena = Arena::default();
-        arena.tree.nodes.reserve(primitives.len() / 12 + 1);
-        arena.tree.blocks.reserve(primitives.len() / 3 + 1);
-        arena.tree.ids.reserve(primitives.len() / 3 + 1);
+        arena.nodes.reserve(primitives.len() / 12 + 1);
+        arena.blocks.reserve(primitives.len() / 3 + 1);
+        arena.ids.reserve(primitives.len() / 3 + 1);
         arena.root = if depth > 0 && is_leaf(primitives) {
-            leaf(source, primitives, &mut arena.tree)
+            leaf(source, primitives, &mut arena)
         } else {
-            small_node(source, primitives, info, depth, &mut arena.tree)
+            small_node(source, primitives, info, depth, &mut arena)
         };
         return Built::Small(arena);
     }
@@ -111,23 +120,23 @@ fn node(source: &impl Source, primitives: &mut [Primitive], info: Info, depth: u
     Built::Large { node: Box::new(Node::new(&boxes)), children }
 }
 
-fn small_node(source: &impl Source, primitives: &mut [Primitive], info: Info, depth: usize, tree: &mut Tree) -> u32 {
+fn small_node(source: &impl Source, primitives: &mut [Primitive], info: Info, depth: usize, arena: &mut Arena) -> u32 {
     let children = children(primitives, info, depth);
     let mut boxes = [Aabb::EMPTY; WIDTH];
     for (aabb, (_, info)) in boxes.iter_mut().zip(&children) {
         *aabb = info.bounds;
     }
-    let index = tree.nodes.len();
-    tree.nodes.push(Node::new(&boxes[..children.len()]));
+    let index = arena.nodes.len();
+    arena.nodes.push(Node::new(&boxes[..children.len()]));
     for (lane, (range, info)) in children.into_iter().enumerate() {
         let reference =
-            if is_leaf(range) { leaf(source, range, tree) } else { small_node(source, range, info, depth + 1, tree) };
-        tree.nodes[index].children[lane] = reference;
+            if is_leaf(range) { leaf(source, range, arena) } else { small_node(source, range, info, depth + 1, arena) };
+        arena.nodes[index].children[lane] = reference;
     }
     index as u32
 }
 
-fn leaf(source: &impl Source, primitives: &[Primitive], tree: &mut Tree) -> u32 {
+fn leaf(source: &impl Source, primitives: &[Primitive], arena: &mut Arena) -> u32 {
     if primitives[0].triangle == Primitive::IS_INSTANCE {
         return LEAF | INSTANCE | primitives[0].item;
     }
@@ -145,40 +154,41 @@ fn leaf(source: &impl Source, primitives: &[Primitive], tree: &mut Tree) -> u32 
         }
         (ids.instance[lane], ids.triangle[lane]) = (instance, primitive.triangle);
     }
-    tree.blocks.push(block);
-    tree.ids.push(ids);
-    LEAF | (tree.blocks.len() - 1) as u32
+    arena.blocks.push(block);
+    arena.ids.push(ids);
+    LEAF | (arena.blocks.len() - 1) as u32
 }
 
 /// Copies the arenas into one tree, the nodes above them first.
 fn join(built: Built) -> (Tree, u64) {
     if let Built::Small(arena) = built {
-        let bytes = arena.tree.bytes();
-        return (arena.tree, bytes);
+        let bytes = arena.bytes();
+        let Arena { nodes, blocks, ids, .. } = arena;
+        return (Tree { nodes: nodes.into(), blocks: blocks.into(), ids: ids.into(), extent: 0.0 }, bytes);
     }
     let (mut top, mut arenas) = (Vec::new(), Vec::new());
     flatten(built, &mut top, &mut arenas);
-    let count = |of: fn(&Tree) -> usize| arenas.iter().map(|a| of(&a.tree)).sum::<usize>();
+    let count = |of: fn(&Arena) -> usize| arenas.iter().map(of).sum::<usize>();
     let mut tree = Tree {
-        nodes: bytemuck::zeroed_vec(top.len() + count(|t| t.nodes.len())),
-        blocks: bytemuck::zeroed_vec(count(|t| t.blocks.len())),
-        ids: bytemuck::zeroed_vec(count(|t| t.ids.len())),
+        nodes: Pages::zeroed(top.len() + count(|a| a.nodes.len())),
+        blocks: Pages::zeroed(count(|a| a.blocks.len())),
+        ids: Pages::zeroed(count(|a| a.ids.len())),
         extent: 0.0,
     };
-    let peak = tree.bytes() + arenas.iter().map(|a| a.tree.bytes()).sum::<u64>();
+    let peak = tree.bytes() + arenas.iter().map(Arena::bytes).sum::<u64>();
     let (top_nodes, mut nodes) = tree.nodes.split_at_mut(top.len());
-    let (mut blocks, mut ids) = (tree.blocks.as_mut_slice(), tree.ids.as_mut_slice());
+    let (mut blocks, mut ids) = (&mut *tree.blocks, &mut *tree.ids);
     let (mut first_node, mut first_block) = (top.len() as u32, 0u32);
     let mut roots = Vec::with_capacity(arenas.len());
     let mut copies = Vec::with_capacity(arenas.len());
     for arena in arenas {
-        let (n, b) = (arena.tree.nodes.len(), arena.tree.blocks.len());
+        let (n, b) = (arena.nodes.len(), arena.blocks.len());
         roots.push(moved(arena.root, first_node, first_block));
         let (to_nodes, to_blocks, to_ids);
         (to_nodes, nodes) = nodes.split_at_mut(n);
         (to_blocks, blocks) = blocks.split_at_mut(b);
         (to_ids, ids) = ids.split_at_mut(b);
-        copies.push((arena.tree, first_node, first_block, to_nodes, to_blocks, to_ids));
+        copies.push((arena, first_node, first_block, to_nodes, to_blocks, to_ids));
         (first_node, first_block) = (first_node + n as u32, first_block + b as u32);
     }
     copies.into_par_iter().for_each(|(from, first_node, first_block, nodes, blocks, ids)| {

@@ -13,6 +13,7 @@ mod avx2;
 mod avx512;
 mod build;
 mod node;
+mod pages;
 mod portable;
 mod split;
 mod traverse;
@@ -25,6 +26,7 @@ use crate::scene::Scene;
 use build::{Primitive, Source};
 use glam::{Affine3A, Vec3};
 use node::Tree;
+use pages::Pages;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -172,22 +174,23 @@ impl<'a> Parts<'a> {
         self.parts.iter().map(|p| p.indices.len()).sum()
     }
 
-    /// A primitive for every triangle that has a place.
-    fn primitives(&self, room: usize) -> Vec<Primitive> {
-        let mut primitives = Vec::with_capacity(self.triangles() + room);
+    /// A primitive for every triangle, absent ones included, and room for some more behind them.
+    fn primitives(&self, room: usize) -> Pages<Primitive> {
+        let mut primitives = Pages::zeroed(self.triangles() + room);
+        let mut rest = &mut *primitives;
         for (item, part) in self.parts.iter().enumerate() {
-            let triangles = part.indices.par_iter().enumerate().map(|(triangle, indices)| {
-                let [a, b, c] = indices.map(|i| part.positions[i as usize]);
-                let (mut low, high) = (a.min(b).min(c), a.max(b).max(c));
-                if ![a, b, c].into_iter().all(placement::usable) {
-                    low.x = Primitive::ABSENT;
-                }
-                Primitive { low, item: item as u32, high, triangle: triangle as u32 }
-            });
-            primitives.par_extend(triangles);
-        }
-        if primitives.par_iter().any(|p| p.low.x == Primitive::ABSENT) {
-            primitives.retain(|p| p.low.x != Primitive::ABSENT);
+            let (own, others) = std::mem::take(&mut rest).split_at_mut(part.indices.len());
+            rest = others;
+            own.par_iter_mut().zip(part.indices).enumerate().with_min_len(1024).for_each(
+                |(triangle, (to, indices))| {
+                    let [a, b, c] = indices.map(|i| part.positions[i as usize]);
+                    let (mut low, high) = (a.min(b).min(c), a.max(b).max(c));
+                    if ![a, b, c].into_iter().all(placement::usable) {
+                        low.x = Primitive::ABSENT;
+                    }
+                    *to = Primitive { low, item: item as u32, high, triangle: triangle as u32 };
+                },
+            );
         }
         primitives
     }
@@ -220,7 +223,7 @@ impl World {
             let Space::Shared(inverse) = placement.space else { continue };
             let tree = *numbers.entry(placement.mesh).or_insert_with(|| {
                 let parts = Parts::of(scene, &[placement]);
-                let (tree, bytes) = grow(&parts, Vec::new());
+                let (tree, bytes) = grow(&parts, &[]);
                 triangles += parts.triangles() as u64;
                 peak = peak.max(held + bytes);
                 held += tree.bytes();
@@ -244,7 +247,7 @@ impl World {
             if parts.triangles() + instances.len() >= node::INSTANCE as usize {
                 return Err(Error::Accel("bvh: more than 2^30 triangles: use --accel embree".to_owned()));
             }
-            let (tree, bytes) = grow(&parts, instances);
+            let (tree, bytes) = grow(&parts, &instances);
             triangles += parts.triangles() as u64;
             peak = peak.max(held + bytes);
             held += tree.bytes();
@@ -255,12 +258,16 @@ impl World {
 }
 
 /// A tree over the parts' triangles and some instances, and the most bytes that took.
-fn grow(parts: &Parts<'_>, instances: Vec<Primitive>) -> (Tree, u64) {
+fn grow(parts: &Parts<'_>, instances: &[Primitive]) -> (Tree, u64) {
     let mut primitives = parts.primitives(instances.len());
-    primitives.extend(instances);
-    let (tree, bytes) = build::build(parts, &mut primitives);
-    let peak = bytes + size_of_val(primitives.as_slice()) as u64;
-    (tree, peak)
+    primitives[parts.triangles()..].copy_from_slice(instances);
+    let mut present = primitives.len();
+    if primitives.par_iter().any(|p| p.low.x == Primitive::ABSENT) {
+        primitives.sort_by_key(|p| p.low.x == Primitive::ABSENT);
+        present = primitives.partition_point(|p| p.low.x != Primitive::ABSENT);
+    }
+    let (tree, bytes) = build::build(parts, &mut primitives[..present]);
+    (tree, bytes + size_of_val(&*primitives) as u64)
 }
 
 /// The world box of a box in an instance's space, widened by what the rays' way into that space may lose.

@@ -4,6 +4,7 @@
 //! the order in which its rays pass the children. Sorting by that order at a visit takes one permutation instead of a
 //! sort by distance.
 
+use super::pages::Pages;
 use glam::Vec3A;
 
 /// Children of a node.
@@ -47,7 +48,7 @@ impl Aabb {
 }
 
 /// Eight boxes and where they lead.
-#[derive(Debug, Clone, Copy, bytemuck::Zeroable)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C, align(64))]
 pub(super) struct Node {
     /// Lower x, y, z, upper x, y, z of each child; an absent child's lower planes are at +∞, its upper at −∞.
@@ -96,14 +97,14 @@ fn order(boxes: &[Aabb]) -> [u32; WIDTH] {
 }
 
 /// Four triangles: `corners[vertex][axis][lane]`. Lanes without a triangle are points, which nothing meets.
-#[derive(Debug, Clone, Copy, bytemuck::Zeroable)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C, align(16))]
 pub(super) struct Block {
     pub(super) corners: [[[f32; BLOCK]; 3]; 3],
 }
 
 /// What the triangles of a block are; read only on a hit.
-#[derive(Debug, Clone, Copy, bytemuck::Zeroable)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub(super) struct Ids {
     pub(super) instance: [u32; BLOCK],
@@ -113,9 +114,9 @@ pub(super) struct Ids {
 /// A tree; without nodes it is empty, otherwise node 0 is the root.
 #[derive(Debug, Default)]
 pub(super) struct Tree {
-    pub(super) nodes: Vec<Node>,
-    pub(super) blocks: Vec<Block>,
-    pub(super) ids: Vec<Ids>,
+    pub(super) nodes: Pages<Node>,
+    pub(super) blocks: Pages<Block>,
+    pub(super) ids: Pages<Ids>,
     /// The largest |coordinate| of its boxes.
     pub(super) extent: f32,
 }
@@ -132,8 +133,7 @@ impl Tree {
 
     /// Bytes held.
     pub(super) fn bytes(&self) -> u64 {
-        (size_of_val(self.nodes.as_slice()) + size_of_val(self.blocks.as_slice()) + size_of_val(self.ids.as_slice()))
-            as u64
+        (size_of_val(&*self.nodes) + size_of_val(&*self.blocks) + size_of_val(&*self.ids)) as u64
     }
 }
 
