@@ -25,39 +25,40 @@ pub(super) fn questions() -> Option<Questions> {
 /// The processor has AVX2 and FMA.
 #[target_feature(enable = "avx2,fma,bmi1,lzcnt,popcnt")]
 unsafe fn closest(world: &World, rays: &[Ray], mask: Mask, hits: &mut [Hit]) {
-    super::closest::<Avx2>(world, rays, mask, hits);
+    World::closest::<Avx2>(world, rays, mask, hits);
 }
 
 /// # Safety
 /// The processor has AVX2 and FMA.
 #[target_feature(enable = "avx2,fma,bmi1,lzcnt,popcnt")]
 unsafe fn any(world: &World, rays: &[Ray], mask: Mask, occluded: &mut [u8]) {
-    super::any::<Avx2>(world, rays, mask, occluded);
-}
-
-/// A ray in registers.
-#[derive(Clone, Copy)]
-pub(super) struct Loaded {
-    inverse: [__m256; 3],
-    enter: [__m256; 3],
-    leave: [__m256; 3],
-    tnear: __m256,
-    tfar: __m256,
+    World::any::<Avx2>(world, rays, mask, occluded);
 }
 
 /// Where the boxes are entered and left.
 #[inline(always)]
-pub(super) fn slabs(loaded: &Loaded, ray: &Prepared, node: &Node) -> (__m256, __m256) {
+pub(super) fn slabs(ray: &Prepared, node: &Node) -> (__m256, __m256) {
     // SAFETY: Inlined only where AVX2 and FMA are enabled; the loads are of whole rows of eight floats, each row
     // aligned to 32 bytes as `Node` is to 64.
     unsafe {
         let near = |axis: usize| _mm256_load_ps(node.planes[ray.near[axis]].as_ptr());
         let far = |axis: usize| _mm256_load_ps(node.planes[2 * axis + 3 - ray.near[axis]].as_ptr());
-        let enter = |axis| _mm256_fmsub_ps(near(axis), loaded.inverse[axis], loaded.enter[axis]);
-        let leave = |axis| _mm256_fmsub_ps(far(axis), loaded.inverse[axis], loaded.leave[axis]);
-        let enter = _mm256_max_ps(_mm256_max_ps(enter(0), enter(1)), _mm256_max_ps(enter(2), loaded.tnear));
-        let leave = _mm256_min_ps(_mm256_min_ps(leave(0), leave(1)), _mm256_min_ps(leave(2), loaded.tfar));
-        (enter, _mm256_mul_ps(leave, _mm256_set1_ps(LATER)))
+        let all = |x: f32| _mm256_set1_ps(x);
+        let enter = |axis| _mm256_fmsub_ps(near(axis), all(ray.inverse[axis]), all(ray.enter[axis]));
+        let leave = |axis| _mm256_fmsub_ps(far(axis), all(ray.inverse[axis]), all(ray.leave[axis]));
+        let enter = _mm256_max_ps(_mm256_max_ps(enter(0), enter(1)), _mm256_max_ps(enter(2), all(ray.tnear)));
+        let leave = _mm256_min_ps(_mm256_min_ps(leave(0), leave(1)), _mm256_min_ps(leave(2), all(ray.tfar)));
+        (enter, _mm256_mul_ps(leave, all(LATER)))
+    }
+}
+
+/// Asks for every cache line of `what`.
+#[inline(always)]
+pub(super) fn prefetch<T>(what: &T) {
+    let start = std::ptr::from_ref(what).cast::<i8>();
+    for line in 0..size_of::<T>().div_ceil(64) {
+        // SAFETY: Within `what`; a prefetch reads nothing.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(start.add(64 * line)) };
     }
 }
 
@@ -80,37 +81,9 @@ const PLACES: [u64; 256] = {
 };
 
 impl Kernel for Avx2 {
-    type Ray = Loaded;
-
     #[inline(always)]
-    fn load(ray: &Prepared) -> Loaded {
-        // SAFETY: Inlined only where AVX is enabled.
-        unsafe {
-            Loaded {
-                inverse: ray.inverse.map(|x| _mm256_set1_ps(x)),
-                enter: ray.enter.map(|x| _mm256_set1_ps(x)),
-                leave: ray.leave.map(|x| _mm256_set1_ps(x)),
-                tnear: _mm256_set1_ps(ray.tnear),
-                tfar: _mm256_set1_ps(ray.tfar),
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn shorten(loaded: &mut Loaded, tfar: f32) {
-        // SAFETY: Inlined only where AVX is enabled.
-        loaded.tfar = unsafe { _mm256_set1_ps(tfar) };
-    }
-
-    #[inline(always)]
-    fn boxes(
-        loaded: &Loaded,
-        ray: &Prepared,
-        node: &Node,
-        children: &mut [u32; WIDTH],
-        at: &mut [f32; WIDTH],
-    ) -> usize {
-        let (enter, leave) = slabs(loaded, ray, node);
+    fn boxes(ray: &Prepared, node: &Node, children: &mut [u32; WIDTH], at: &mut [f32; WIDTH]) -> usize {
+        let (enter, leave) = slabs(ray, node);
         // SAFETY: Inlined only where AVX2 is enabled; loads and stores are of whole rows of eight.
         unsafe {
             let order = _mm256_load_si256(node.order.as_ptr().cast());
@@ -127,6 +100,11 @@ impl Kernel for Avx2 {
             _mm256_storeu_ps(at.as_mut_ptr(), _mm256_permutevar8x32_ps(enter, places));
             mask.count_ones() as usize
         }
+    }
+
+    #[inline(always)]
+    fn prefetch<T>(what: &T) {
+        prefetch(what);
     }
 
     #[inline(always)]

@@ -33,7 +33,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
-use traverse::{Kernel, Prepared, Stack, walk};
+use traverse::{Any, Closest, Kernel, Question, trace};
 
 /// The plugin.
 pub(super) const PLUGIN: Plugin<MakeAccel> = Plugin {
@@ -86,44 +86,32 @@ struct Bvh {
 }
 
 impl World {
-    /// The trees that a mask sees.
+    /// The nearest hits of a batch of valid rays.
     #[inline(always)]
-    fn seen(&self, mask: Mask) -> impl Iterator<Item = &Tree> {
-        self.tops
-            .iter()
-            .enumerate()
-            .filter(move |(i, t)| mask as u32 >> i & 1 == 1 && !t.nodes.is_empty())
-            .map(|(_, t)| t)
+    fn closest<K: Kernel>(&self, rays: &[Ray], mask: Mask, hits: &mut [Hit]) {
+        hits.fill(Hit::MISS);
+        self.ask::<K, Closest>(rays, mask, hits);
     }
-}
 
-/// The nearest hits of a batch.
-#[inline(always)]
-fn closest<K: Kernel>(world: &World, rays: &[Ray], mask: Mask, hits: &mut [Hit]) {
-    let mut stack = Stack::new();
-    for (ray, hit) in rays.iter().zip(hits) {
-        *hit = Hit::MISS;
-        for tree in world.seen(mask) {
-            let mut prepared = Prepared::new(ray, tree.extent);
-            prepared.tfar = prepared.tfar.min(hit.t);
-            walk::<K, false, true>(world, tree, &mut prepared, &mut stack, 0, hit);
+    /// Whether anything lies on the rays of a batch.
+    #[inline(always)]
+    fn any<K: Kernel>(&self, rays: &[Ray], mask: Mask, occluded: &mut [u8]) {
+        occluded.fill(0);
+        self.ask::<K, Any>(rays, mask, occluded);
+    }
+
+    #[inline(always)]
+    fn ask<K: Kernel, Q: Question>(&self, rays: &[Ray], mask: Mask, answers: &mut [Q::Answer]) {
+        for (index, tree) in self.tops.iter().enumerate() {
+            if mask as u32 >> index & 1 == 0 || tree.nodes.is_empty() {
+                continue;
+            }
+            if self.placed.is_empty() {
+                trace::<K, Q, false>(self, tree, rays, answers);
+            } else {
+                trace::<K, Q, true>(self, tree, rays, answers);
+            }
         }
-    }
-}
-
-/// Whether anything lies on the rays of a batch.
-#[inline(always)]
-fn any<K: Kernel>(world: &World, rays: &[Ray], mask: Mask, occluded: &mut [u8]) {
-    let mut stack = Stack::new();
-    for (ray, answer) in rays.iter().zip(occluded) {
-        let mut hit = Hit::MISS;
-        let mut seen = world.seen(mask);
-        *answer = seen
-            .any(|tree| {
-                let mut prepared = Prepared::new(ray, tree.extent);
-                walk::<K, true, true>(world, tree, &mut prepared, &mut stack, 0, &mut hit)
-            })
-            .into();
     }
 }
 
