@@ -2,9 +2,9 @@
 //!
 //! A node begins as one range of primitives; the child of the largest surface is split until there are eight (Wald,
 //! Benthin & Boulos 2008). Ranges below [`GRAIN`] are one task that fills an arena of its own; the arenas are copied
-//! together at the end, in parallel.
+//! together at the end, in parallel, all trees of a scene into one [`Forest`].
 
-use super::node::{Aabb, BLOCK, Block, INSTANCE, Ids, LEAF, Node, Tree, WIDTH};
+use super::node::{Aabb, BLOCK, Block, Forest, INSTANCE, Ids, LEAF, Node, Root, WIDTH};
 use super::pages::Pages;
 use super::split::{Info, split};
 use glam::Vec3;
@@ -42,21 +42,42 @@ pub(super) trait Source: Sync {
     fn triangle(&self, primitive: &Primitive) -> ([Vec3; 3], u32);
 }
 
-/// Builds on the current rayon pool; returns the tree and the most bytes it took.
-pub(super) fn build(source: &impl Source, primitives: &mut [Primitive]) -> (Tree, u64) {
+/// A tree that has not found its place in the forest yet.
+pub(super) struct Tree {
+    built: Built,
+    /// The box of everything in it.
+    pub(super) bounds: Aabb,
+}
+
+/// Builds on the current rayon pool; nothing for no primitives.
+pub(super) fn build(source: &impl Source, primitives: &mut [Primitive]) -> Option<Tree> {
     if primitives.is_empty() {
-        return (Tree::default(), 0);
+        return None;
     }
     let info = Info::of(primitives);
-    let (mut tree, peak) = join(node(source, primitives, info, 0));
-    tree.extent = info.bounds.low.abs().max(info.bounds.high.abs()).max_element();
-    (tree, peak)
+    Some(Tree { built: node(source, primitives, info, 0), bounds: info.bounds })
+}
+
+impl Tree {
+    /// Bytes held.
+    pub(super) fn bytes(&self) -> u64 {
+        self.built.bytes()
+    }
 }
 
 /// A subtree: one arena, or a node over subtrees.
 enum Built {
     Small(Arena),
     Large { node: Box<Node>, children: Vec<Built> },
+}
+
+impl Built {
+    fn bytes(&self) -> u64 {
+        match self {
+            Self::Small(arena) => arena.bytes(),
+            Self::Large { children, .. } => children.iter().map(Self::bytes).sum(),
+        }
+    }
 }
 
 /// A subtree with references of its own; the root is the reference that leads into it.
@@ -159,31 +180,28 @@ fn leaf(source: &impl Source, primitives: &[Primitive], arena: &mut Arena) -> u3
     LEAF | (arena.blocks.len() - 1) as u32
 }
 
-/// Copies the arenas into one tree, the nodes above them first.
-fn join(built: Built) -> (Tree, u64) {
-    if let Built::Small(arena) = built {
-        let bytes = arena.bytes();
-        let Arena { nodes, blocks, ids, .. } = arena;
-        return (Tree { nodes: nodes.into(), blocks: blocks.into(), ids: ids.into(), extent: 0.0 }, bytes);
-    }
+/// Copies trees into one forest, the nodes above the arenas first, and tells where each tree begins.
+pub(super) fn join(trees: Vec<Tree>) -> (Forest, Vec<Root>) {
     let (mut top, mut arenas) = (Vec::new(), Vec::new());
-    flatten(built, &mut top, &mut arenas);
+    let mut roots = Vec::with_capacity(trees.len());
+    for Tree { built, bounds } in trees {
+        let extent = bounds.low.abs().max(bounds.high.abs()).max_element();
+        roots.push(Root { reference: flatten(built, &mut top, &mut arenas), extent });
+    }
     let count = |of: fn(&Arena) -> usize| arenas.iter().map(of).sum::<usize>();
-    let mut tree = Tree {
+    let mut forest = Forest {
         nodes: Pages::zeroed(top.len() + count(|a| a.nodes.len())),
         blocks: Pages::zeroed(count(|a| a.blocks.len())),
         ids: Pages::zeroed(count(|a| a.ids.len())),
-        extent: 0.0,
     };
-    let peak = tree.bytes() + arenas.iter().map(Arena::bytes).sum::<u64>();
-    let (top_nodes, mut nodes) = tree.nodes.split_at_mut(top.len());
-    let (mut blocks, mut ids) = (&mut *tree.blocks, &mut *tree.ids);
+    let (top_nodes, mut nodes) = forest.nodes.split_at_mut(top.len());
+    let (mut blocks, mut ids) = (&mut *forest.blocks, &mut *forest.ids);
     let (mut first_node, mut first_block) = (top.len() as u32, 0u32);
-    let mut roots = Vec::with_capacity(arenas.len());
+    let mut arena_roots = Vec::with_capacity(arenas.len());
     let mut copies = Vec::with_capacity(arenas.len());
     for arena in arenas {
         let (n, b) = (arena.nodes.len(), arena.blocks.len());
-        roots.push(moved(arena.root, first_node, first_block));
+        arena_roots.push(moved(arena.root, first_node, first_block));
         let (to_nodes, to_blocks, to_ids);
         (to_nodes, nodes) = nodes.split_at_mut(n);
         (to_blocks, blocks) = blocks.split_at_mut(b);
@@ -199,12 +217,16 @@ fn join(built: Built) -> (Tree, u64) {
         blocks.copy_from_slice(&from.blocks);
         ids.copy_from_slice(&from.ids);
     });
+    // Up to here a leaf was an arena, anything else another node of the top.
+    let found = |reference: u32| match reference & LEAF {
+        0 => reference,
+        _ => arena_roots[(reference & !LEAF) as usize],
+    };
     for (to, node) in top_nodes.iter_mut().zip(&top) {
-        *to = *node;
-        // In `top` a leaf is an arena, anything else another node of the top.
-        to.children = node.children.map(|c| if c & LEAF == 0 { c } else { roots[(c & !LEAF) as usize] });
+        *to = Node { children: node.children.map(found), ..*node };
     }
-    (tree, peak)
+    roots.iter_mut().for_each(|root| root.reference = found(root.reference));
+    (forest, roots)
 }
 
 fn moved(reference: u32, first_node: u32, first_block: u32) -> u32 {

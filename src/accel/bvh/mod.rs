@@ -23,9 +23,9 @@ use super::{Accel, AccelStats, Coherence, Hit, MakeAccel, Mask, Ray};
 use crate::error::{Error, Result};
 use crate::registry::{Kind, Opt, Params, Plugin};
 use crate::scene::Scene;
-use build::{Primitive, Source};
+use build::{Primitive, Source, Tree};
 use glam::{Affine3A, Vec3};
-use node::Tree;
+use node::{Forest, Root};
 use pages::Pages;
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -53,19 +53,18 @@ pub(super) const PLUGIN: Plugin<MakeAccel> = Plugin {
 struct Placed {
     /// World to mesh.
     inverse: Affine3A,
-    /// Index into [`World::shared`].
-    tree: u32,
+    /// The mesh's tree.
+    root: Root,
     /// Index into [`Scene::instances`].
     instance: u32,
 }
 
-/// All trees.
+/// All that rays can meet.
 #[derive(Debug, Default)]
 struct World {
-    /// Of the opaque geometry and of the rest.
-    tops: [Tree; 2],
-    /// Of the meshes that several instances show.
-    shared: Vec<Tree>,
+    forest: Forest,
+    /// The top trees of the opaque geometry and of the rest.
+    tops: [Option<Root>; 2],
     placed: Vec<Placed>,
 }
 
@@ -102,14 +101,16 @@ impl World {
 
     #[inline(always)]
     fn ask<K: Kernel, Q: Question>(&self, rays: &[Ray], mask: Mask, answers: &mut [Q::Answer]) {
-        for (index, tree) in self.tops.iter().enumerate() {
-            if mask as u32 >> index & 1 == 0 || tree.nodes.is_empty() {
-                continue;
-            }
-            if self.placed.is_empty() {
-                trace::<K, Q, false>(self, tree, rays, answers);
-            } else {
-                trace::<K, Q, true>(self, tree, rays, answers);
+        for (index, root) in self.tops.iter().enumerate() {
+            match root {
+                Some(root) if mask as u32 >> index & 1 == 1 => {
+                    if self.placed.is_empty() {
+                        trace::<K, Q, false>(self, *root, rays, answers);
+                    } else {
+                        trace::<K, Q, true>(self, *root, rays, answers);
+                    }
+                }
+                _ => (),
             }
         }
     }
@@ -162,10 +163,11 @@ impl<'a> Parts<'a> {
         self.parts.iter().map(|p| p.indices.len()).sum()
     }
 
-    /// A primitive for every triangle, absent ones included, and room for some more behind them.
-    fn primitives(&self, room: usize) -> Pages<Primitive> {
-        let mut primitives = Pages::zeroed(self.triangles() + room);
-        let mut rest = &mut *primitives;
+    /// A primitive for every triangle, absent ones included, and the instances behind them.
+    fn primitives(&self, instances: &[Primitive]) -> Pages<Primitive> {
+        let mut primitives = Pages::zeroed(self.triangles() + instances.len());
+        let (mut rest, last) = primitives.split_at_mut(self.triangles());
+        last.copy_from_slice(instances);
         for (item, part) in self.parts.iter().enumerate() {
             let (own, others) = std::mem::take(&mut rest).split_at_mut(part.indices.len());
             rest = others;
@@ -192,8 +194,7 @@ impl Bvh {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.max(1)).build();
         let pool = pool.map_err(|e| Error::Accel(format!("bvh: cannot start {threads} threads: {e}")))?;
         let (world, triangles, peak) = pool.install(|| World::new(scene, &placements))?;
-        let trees = world.tops.iter().chain(&world.shared);
-        let bytes = trees.map(Tree::bytes).sum::<u64>() + size_of_val(world.placed.as_slice()) as u64;
+        let bytes = world.forest.bytes() + size_of_val(world.placed.as_slice()) as u64;
         let build_s = start.elapsed().as_secs_f64();
         let stats = AccelStats { build_s, triangles, bytes, peak_bytes: peak.max(bytes), invalid_rays: 0 };
         Ok(Self { world, questions, limit: placement::ray_limit(&placements), stats, invalid: AtomicU64::new(0) })
@@ -203,25 +204,32 @@ impl Bvh {
 impl World {
     /// Also returns the number of triangles and the most bytes held.
     fn new(scene: &Scene, placements: &[Placement]) -> Result<(Self, u64, u64)> {
-        let mut world = Self::default();
-        let (mut triangles, mut peak, mut held) = (0, 0, 0);
+        let mut trees: Vec<Tree> = Vec::new();
+        let (mut triangles, mut peak) = (0, 0);
+        // Adds a tree; returns its place in the list, if it has anything in it.
+        let mut plant = |parts: &Parts<'_>, instances: &[Primitive], trees: &mut Vec<Tree>| {
+            let mut primitives = parts.primitives(instances);
+            triangles += parts.triangles() as u64;
+            let tree = build::build(parts, present(&mut primitives));
+            trees.extend(tree);
+            let held: u64 = trees.iter().map(Tree::bytes).sum();
+            peak = peak.max(held + size_of_val(&*primitives) as u64);
+        };
+        // Shared meshes first: their boxes are the instances'.
         let mut numbers = HashMap::new();
+        let mut placed = Vec::new();
         let mut instances = [Vec::new(), Vec::new()];
         for placement in placements {
             let Space::Shared(inverse) = placement.space else { continue };
-            let tree = *numbers.entry(placement.mesh).or_insert_with(|| {
-                let parts = Parts::of(scene, &[placement]);
-                let (tree, bytes) = grow(&parts, &[]);
-                triangles += parts.triangles() as u64;
-                peak = peak.max(held + bytes);
-                held += tree.bytes();
-                world.shared.push(tree);
-                world.shared.len() as u32 - 1
+            let number = *numbers.entry(placement.mesh).or_insert_with(|| {
+                let number = trees.len();
+                plant(&Parts::of(scene, &[placement]), &[], &mut trees);
+                (trees.len() > number).then_some(number)
             });
-            let Some(bounds) = world.shared[tree as usize].bounds() else { continue };
-            let (low, high) = moved(&bounds, &scene.instances[placement.instance as usize].transform, &inverse);
-            let item = world.placed.len() as u32;
-            world.placed.push(Placed { inverse, tree, instance: placement.instance });
+            let Some(number) = number else { continue };
+            let (low, high) = moved(&trees[number].bounds, &scene.instances[placement.instance as usize].transform);
+            let item = placed.len() as u32;
+            placed.push((inverse, number, placement.instance));
             instances[placement.mask as usize - 1].push(Primitive {
                 low,
                 item,
@@ -229,44 +237,45 @@ impl World {
                 triangle: Primitive::IS_INSTANCE,
             });
         }
-        for (index, instances) in instances.into_iter().enumerate() {
+        let mut tops = [None, None];
+        for (index, instances) in instances.iter().enumerate() {
             let own = |p: &&Placement| p.mask as usize - 1 == index && !matches!(p.space, Space::Shared(_));
             let parts = Parts::of(scene, &placements.iter().filter(own).collect::<Vec<_>>());
-            if parts.triangles() + instances.len() >= node::INSTANCE as usize {
-                return Err(Error::Accel("bvh: more than 2^30 triangles: use --accel embree".to_owned()));
-            }
-            let (tree, bytes) = grow(&parts, &instances);
-            triangles += parts.triangles() as u64;
-            peak = peak.max(held + bytes);
-            held += tree.bytes();
-            world.tops[index] = tree;
+            let number = trees.len();
+            plant(&parts, instances, &mut trees);
+            tops[index] = (trees.len() > number).then_some(number);
         }
-        Ok((world, triangles, peak))
+        if triangles + placed.len() as u64 >= u64::from(node::INSTANCE) {
+            return Err(Error::Accel("bvh: more than 2^30 triangles: use --accel embree".to_owned()));
+        }
+        let held: u64 = trees.iter().map(Tree::bytes).sum();
+        let (forest, roots) = build::join(trees);
+        let tops = tops.map(|number| number.map(|n| roots[n]));
+        let placed = placed.into_iter().map(|(inverse, n, instance)| Placed { inverse, root: roots[n], instance });
+        peak = peak.max(held + forest.bytes());
+        Ok((Self { forest, tops, placed: placed.collect() }, triangles, peak))
     }
 }
 
-/// A tree over the parts' triangles and some instances, and the most bytes that took.
-fn grow(parts: &Parts<'_>, instances: &[Primitive]) -> (Tree, u64) {
-    let mut primitives = parts.primitives(instances.len());
-    primitives[parts.triangles()..].copy_from_slice(instances);
-    let mut present = primitives.len();
-    if primitives.par_iter().any(|p| p.low.x == Primitive::ABSENT) {
-        primitives.sort_by_key(|p| p.low.x == Primitive::ABSENT);
-        present = primitives.partition_point(|p| p.low.x != Primitive::ABSENT);
+/// The primitives that have a place, moved to the front.
+fn present(primitives: &mut [Primitive]) -> &mut [Primitive] {
+    let absent = |p: &Primitive| p.low.x == Primitive::ABSENT;
+    if !primitives.par_iter().any(absent) {
+        return primitives;
     }
-    let (tree, bytes) = build::build(parts, &mut primitives[..present]);
-    (tree, bytes + size_of_val(&*primitives) as u64)
+    primitives.sort_by_key(absent);
+    let count = primitives.partition_point(|p| !absent(p));
+    &mut primitives[..count]
 }
 
 /// The world box of a box in an instance's space, widened by what the rays' way into that space may lose.
-fn moved(bounds: &node::Aabb, transform: &Affine3A, inverse: &Affine3A) -> (Vec3, Vec3) {
+fn moved(bounds: &node::Aabb, transform: &Affine3A) -> (Vec3, Vec3) {
     let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     for corner in 0..8 {
         let pick = |axis: usize| if corner >> axis & 1 == 1 { bounds.high[axis] } else { bounds.low[axis] };
         let p = transform.transform_point3(Vec3::new(pick(0), pick(1), pick(2)));
         (low, high) = (low.min(p), high.max(p));
     }
-    let _ = inverse;
     let pad = (low.abs().max(high.abs()) + transform.translation.abs().max_element()) * 4.0 * f32::EPSILON;
     (low - pad, high + pad)
 }

@@ -6,13 +6,13 @@
 //! Boxes are tested conservatively and triangles watertight (Woop, Benthin & Wald 2013): a shared edge is the same
 //! number to both triangles, so that no ray slips between them.
 
-use super::node::{BLOCK, Block, INSTANCE, Ids, LEAF, Node, Tree, WIDTH};
+use super::node::{BLOCK, Block, Forest, INSTANCE, Ids, LEAF, Node, Root, WIDTH};
 use super::{Placed, World};
 use crate::accel::{Hit, Ray};
 use std::cell::Cell;
 
 /// Rays on their way at a time.
-const LANES: usize = 8;
+const LANES: usize = 12;
 /// Entries of the stack: seven wait at every level of both trees, and a node writes eight at a time.
 const STACK: usize = 2 * 7 * (super::build::MAX_DEPTH + 1) + 2 * WIDTH;
 
@@ -182,44 +182,39 @@ thread_local! {
     static LANES_OF_THREAD: Cell<Option<Box<[Lane; LANES]>>> = const { Cell::new(None) };
 }
 
-/// A tree as slices.
+/// All trees as slices, and where the instances stand in them.
 #[derive(Clone, Copy)]
 struct View<'a> {
     nodes: &'a [Node],
     blocks: &'a [Block],
     ids: &'a [Ids],
-}
-
-impl<'a> View<'a> {
-    #[inline(always)]
-    fn of(tree: &'a Tree) -> Self {
-        Self { nodes: &tree.nodes, blocks: &tree.blocks, ids: &tree.ids }
-    }
+    placed: &'a [Placed],
 }
 
 /// Asks about a batch of valid rays in one top tree and the instances in it. `INSTANCES` says whether there are any.
 #[inline(always)]
 pub(super) fn trace<K: Kernel, Q: Question, const INSTANCES: bool>(
     world: &World,
-    tree: &Tree,
+    root: Root,
     rays: &[Ray],
     answers: &mut [Q::Answer],
 ) {
-    let view = View::of(tree);
+    let Forest { nodes, blocks, ids } = &world.forest;
+    let view = View { nodes, blocks, ids, placed: &world.placed };
     // Taken out and put back: the vector code is not inlined into closures.
     let mut lanes = LANES_OF_THREAD.take().unwrap_or_else(|| Box::new(std::array::from_fn(|_| Lane::new())));
     // The lanes are too large to be moved about.
     let mut order: [usize; LANES] = std::array::from_fn(|i| i);
     let (mut next, mut active) = (0, 0);
-    while active < LANES && lanes[active].start::<Q>(tree, rays, answers, &mut next) {
+    while active < LANES && lanes[active].start::<Q>(root, rays, answers, &mut next) {
         active += 1;
     }
     while active > 0 {
         let mut i = 0;
         while i < active {
             let lane = &mut lanes[order[i] % LANES];
-            let done = lane.step::<K, Q, INSTANCES>(world, view, answers);
-            if done && !lane.start::<Q>(tree, rays, answers, &mut next) {
+            let done = lane.step::<K, Q, INSTANCES>(view, answers);
+            if done && !lane.start::<Q>(root, rays, answers, &mut next) {
                 active -= 1;
                 order.swap(i, active);
             } else {
@@ -248,13 +243,13 @@ impl Lane {
 
     /// Takes the next ray that has a question; false if there is none left.
     #[inline(always)]
-    fn start<Q: Question>(&mut self, tree: &Tree, rays: &[Ray], answers: &[Q::Answer], next: &mut usize) -> bool {
+    fn start<Q: Question>(&mut self, root: Root, rays: &[Ray], answers: &[Q::Answer], next: &mut usize) -> bool {
         while let (Some(ray), Some(answer)) = (rays.get(*next), answers.get(*next)) {
             self.index = *next;
             *next += 1;
             if let Some(tfar) = Q::limit(ray, answer) {
-                self.ray = Prepared::new(&Ray { tfar, ..*ray }, tree.extent);
-                (self.reference, self.top, self.base, self.inside) = (0, 0, 0, None);
+                self.ray = Prepared::new(&Ray { tfar, ..*ray }, root.extent);
+                (self.reference, self.top, self.base, self.inside) = (root.reference, 0, 0, None);
                 return true;
             }
         }
@@ -265,15 +260,9 @@ impl Lane {
     #[inline(always)]
     fn step<K: Kernel, Q: Question, const INSTANCES: bool>(
         &mut self,
-        world: &World,
         view: View<'_>,
         answers: &mut [Q::Answer],
     ) -> bool {
-        let top = view;
-        let mut view = match self.inside {
-            Some(placed) if INSTANCES => View::of(&world.shared[world.placed[placed as usize].tree as usize]),
-            _ => top,
-        };
         if self.reference & LEAF == 0 {
             let node = &view.nodes[self.reference as usize];
             let children = self.children.get_mut(self.top..).and_then(|s| s.first_chunk_mut());
@@ -291,13 +280,15 @@ impl Lane {
                 let ids = &view.ids[block];
                 let (mut instance, triangle) = (ids.instance[met.lane % BLOCK], ids.triangle[met.lane % BLOCK]);
                 if let Some(placed) = self.inside.filter(|_| INSTANCES) {
-                    instance = world.placed[placed as usize].instance;
+                    instance = view.placed[placed as usize].instance;
                 }
                 self.ray.tfar = met.t;
                 Q::found(&mut answers[self.index], Hit { t: met.t, u: met.u, v: met.v, instance, triangle });
             }
         } else {
-            self.enter(world, self.reference & !(LEAF | INSTANCE));
+            let placed = self.reference & !(LEAF | INSTANCE);
+            self.enter(&view.placed[placed as usize], placed);
+            K::prefetch(&view.nodes[self.reference as usize]);
             return false;
         }
         loop {
@@ -306,7 +297,6 @@ impl Lane {
                     return true;
                 }
                 self.leave();
-                view = top;
             }
             self.top -= 1;
             if Q::ANY || self.at[self.top] <= self.ray.tfar {
@@ -324,14 +314,14 @@ impl Lane {
 
     /// Goes on in an instance's space, at the root of its mesh.
     #[inline(always)]
-    fn enter(&mut self, world: &World, placed: u32) {
-        let Placed { inverse, tree, .. } = &world.placed[placed as usize];
+    fn enter(&mut self, placed: &Placed, index: u32) {
+        let Placed { inverse, root, .. } = placed;
         let origin = inverse.transform_point3(self.ray.world.origin);
         let dir = inverse.transform_vector3(self.ray.world.dir);
         let local = Ray { origin, tnear: self.ray.tnear, dir, tfar: self.ray.tfar };
         self.outer = self.ray;
-        self.ray = Prepared::new(&local, world.shared[*tree as usize].extent);
-        (self.reference, self.base, self.inside) = (0, self.top, Some(placed));
+        self.ray = Prepared::new(&local, root.extent);
+        (self.reference, self.base, self.inside) = (root.reference, self.top, Some(index));
     }
 
     /// Goes on in the world. Distances are the same in both spaces.
