@@ -1,4 +1,4 @@
-//! A bounding volume hierarchy in Rust: eight children a node, four triangles a leaf, no library below it.
+//! A bounding volume hierarchy in Rust: eight children a node, eight triangles a leaf, no library below it.
 //!
 //! Opaque and alpha-tested geometry stand in trees of their own, so that no mask is tested on the way: shadow rays
 //! through the opaque part never see a leaf of foliage. A top tree holds the triangles of the world and the boxes of

@@ -1,4 +1,4 @@
-//! What the tree is made of: nodes of eight children and blocks of four triangles, both laid out for vectors.
+//! What the tree is made of: nodes of eight children and blocks of eight triangles, both laid out for vectors.
 //!
 //! A node is 256 bytes: the planes of eight boxes, eight references, and for each of the eight octants of directions
 //! the order in which its rays pass the children. Sorting by that order at a visit takes one permutation instead of a
@@ -10,7 +10,7 @@ use glam::Vec3A;
 /// Children of a node.
 pub(super) const WIDTH: usize = 8;
 /// Triangles of a block.
-pub(super) const BLOCK: usize = 4;
+pub(super) const BLOCK: usize = 8;
 /// Marks a reference as a leaf: a block of triangles.
 pub(super) const LEAF: u32 = 1 << 31;
 /// Marks a leaf as an instance.
@@ -126,9 +126,9 @@ fn sort_descending(keys: &mut [u32; WIDTH]) {
     }
 }
 
-/// Four triangles: `corners[vertex][axis][lane]`. Lanes without a triangle are points, which nothing meets.
+/// Eight triangles: `corners[vertex][axis][lane]`. Lanes without a triangle are points, which nothing meets.
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
-#[repr(C, align(16))]
+#[repr(C, align(32))]
 pub(super) struct Block {
     pub(super) corners: [[[f32; BLOCK]; 3]; 3],
 }
@@ -165,7 +165,7 @@ pub(super) struct Root {
     pub(super) extent: f32,
 }
 
-const _: () = assert!(size_of::<Node>() == 256 && size_of::<Block>() == 144 && size_of::<Ids>() == 32);
+const _: () = assert!(size_of::<Node>() == 256 && size_of::<Block>() == 36 * BLOCK && size_of::<Ids>() == 8 * BLOCK);
 
 #[cfg(test)]
 mod tests {

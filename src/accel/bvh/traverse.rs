@@ -1,4 +1,4 @@
-//! The way of rays through the trees, written once over a [`Kernel`] that tests eight boxes or four triangles.
+//! The way of rays through the trees, written once over a [`Kernel`] that tests eight boxes or eight triangles.
 //!
 //! A batch's rays are on their way several at a time, in turns: while one waits for its next node to come from memory,
 //! the others' are tested. A ray that is done makes room for the next of the batch.
@@ -99,7 +99,7 @@ pub(super) struct Met {
     pub(super) v: f32,
 }
 
-/// Tests of eight boxes and four triangles. The implementations must agree with the portable one.
+/// Tests of eight boxes and of eight triangles. The implementations must agree with the portable one.
 pub(super) trait Kernel {
     /// Writes the references and distances of the children whose boxes are met, far to near in the octant's order, to
     /// the front of the two arrays (the rest may be overwritten); returns their number.
@@ -179,7 +179,14 @@ struct Lane {
 
 thread_local! {
     /// Made once a thread, not once a call: the stacks are large.
-    static LANES_OF_THREAD: Cell<Option<Box<[Lane; LANES]>>> = const { Cell::new(None) };
+    static LANES_OF_THREAD: Cell<Option<Box<[Lane]>>> = const { Cell::new(None) };
+}
+
+/// Out of line: they would otherwise take their room on the stack at every call.
+#[cold]
+#[inline(never)]
+fn new_lanes() -> Box<[Lane]> {
+    (0..LANES).map(|_| Lane::new()).collect()
 }
 
 /// All trees as slices, and where the instances stand in them.
@@ -202,7 +209,7 @@ pub(super) fn trace<K: Kernel, Q: Question, const INSTANCES: bool>(
     let Forest { nodes, blocks, ids } = &world.forest;
     let view = View { nodes, blocks, ids, placed: &world.placed };
     // Taken out and put back: the vector code is not inlined into closures.
-    let mut lanes = LANES_OF_THREAD.take().unwrap_or_else(|| Box::new(std::array::from_fn(|_| Lane::new())));
+    let mut lanes = LANES_OF_THREAD.take().unwrap_or_else(new_lanes);
     // The lanes are too large to be moved about.
     let mut order: [usize; LANES] = std::array::from_fn(|i| i);
     let (mut next, mut active) = (0, 0);
