@@ -4,6 +4,24 @@
 //! A scene holds only what its materials use ([`Needs`]): a mesh whose material has no texture has no UVs, one that is
 //! shaded flat has no normals.
 
+mod accessor;
+mod asset;
+mod bake;
+pub mod camera;
+mod deform;
+mod geometry;
+mod load;
+mod material;
+mod nodes;
+mod surface;
+mod tangents;
+mod texture;
+mod uri;
+
+pub use camera::{CameraChoice, View};
+pub use load::{LoadOptions, SceneChoice, load};
+pub use surface::offset_origin;
+
 use glam::{Affine3A, Mat3A, Vec2, Vec3, Vec4};
 
 /// A loaded asset.
@@ -239,7 +257,8 @@ pub struct Surface {
     pub ng: Vec3,
     /// Unit shading normal on the same side, normal map applied.
     pub ns: Vec3,
-    /// Linear albedo of the diffuse lobe before Fresnel: base colour × (1 − metallic).
+    /// Linear base colour, texture and vertex colour included: the metal's reflectance at normal incidence; the diffuse
+    /// lobe's albedo is this × (1 − metallic).
     pub base_color: Vec3,
     /// Metallic after its texture.
     pub metallic: f32,

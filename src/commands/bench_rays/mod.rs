@@ -10,7 +10,7 @@ mod report;
 
 use anyhow::{Context, bail};
 use domelight::accel::{self, ACCELS, Accel};
-use domelight::scene::Scene;
+use domelight::scene::{self, LoadOptions, Scene};
 use measure::{KINDS, Sample};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -87,7 +87,7 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     let names: Vec<String> = args.scenes.iter().map(|p| p.display().to_string()).collect();
     for (index, name) in names.iter().chain(&args.generate).enumerate() {
         let scene = match args.scenes.get(index) {
-            Some(path) => bail!("{}: scene files come with the loader", path.display()),
+            Some(path) => scene::load(path, &LoadOptions::default())?,
             None => generate::generate(name)?,
         };
         let (rows, same) = bench.scene(name, &Arc::new(scene))?;
