@@ -199,7 +199,8 @@ fn empty_scenes_and_meshes_are_seen_through() {
         let accel = build(&spec, &hollow);
         let instance = hollow.instances.iter().position(|i| i.mesh == visible).unwrap() as u32;
         let hits = intersect(&*accel, &[Ray::new(Vec3::ZERO, Vec3::X)], Mask::All, Coherence::Coherent);
-        assert_eq!((hits[0].instance, hits[0].t), (instance, 1.0), "{spec}");
+        // Embree's last bit depends on the processor (seen under valgrind).
+        assert!(hits[0].instance == instance && (hits[0].t - 1.0).abs() < 1e-6, "{spec}: {:?}", hits[0]);
         // No rays: no answers, no fault.
         accel.intersect(&[], Mask::All, Coherence::Coherent, &mut []);
         accel.occluded(&[], Mask::All, &mut []);
