@@ -3,8 +3,8 @@
 //! A record belongs to a block of pixels, a dominant axis of the surface normal and a range of distances: keyed relative
 //! to the pixel's footprint by construction, never to metres, and bounded by the image's size. It counts, for each
 //! group of the tessellation, rays and rays that arrived. Between stages the counts become visibilities m: the mean of a
-//! Beta posterior whose prior is the neighbourhood, in two steps, along the dome (the group's neighbours on the curve)
-//! and then the record's own counts.
+//! Beta posterior whose prior is the neighbourhood on the dome: the whole dome, a lane (a sixteenth of the curve), a few
+//! neighbours on the curve, the group itself.
 //!
 //! Counts are integers and a block is only ever written by the tile that owns it, in the order of its pixels: the cache
 //! is the same for any number of threads.
@@ -21,7 +21,10 @@ const SLOTS: usize = 4;
 const MOST: u16 = 128;
 
 /// The weight of the prior, in rays.
-const PRIOR: f32 = 2.0;
+const PRIOR: f32 = 6.0;
+
+/// Groups next to each other on the curve that share a prior.
+const NEIGHBOURS: usize = 8;
 
 /// Records this many steps of distance apart still speak of the same surface.
 const NEAR: u32 = 2;
@@ -115,9 +118,9 @@ impl ShadowCache {
     fn nearest(&self, block: usize, key: u32) -> Option<usize> {
         let slots = block * SLOTS..(block + 1) * SLOTS;
         let alike = slots.filter(|&slot| self.frozen[slot] & 7 == key & 7 && self.frozen[slot] != 0);
-        alike.min_by_key(|&slot| (self.frozen[slot] >> 3).abs_diff(key >> 3)).filter(|&slot| {
-            (self.frozen[slot] >> 3).abs_diff(key >> 3) <= NEAR
-        })
+        alike
+            .min_by_key(|&slot| (self.frozen[slot] >> 3).abs_diff(key >> 3))
+            .filter(|&slot| (self.frozen[slot] >> 3).abs_diff(key >> 3) <= NEAR)
     }
 
     /// Where the rays of a point are counted: the index of its first group, [`NO_TARGET`] when its block is full.
@@ -176,9 +179,18 @@ impl ShadowCache {
                 *lane = (lane.0 + seen, lane.1 + rays);
             }
             let whole = posterior(lanes.iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1)), 0.5);
-            let near = lanes.map(|lane| posterior(lane, whole));
-            for (g, m) in m.iter_mut().enumerate() {
-                *m = (posterior(read(g), near[g % GROUP_LANES]) * 255.0 + 0.5) as u8;
+            let lanes = lanes.map(|lane| posterior(lane, whole));
+            let rows = groups / GROUP_LANES;
+            for (lane, &known) in lanes.iter().enumerate() {
+                for first in (0..rows).step_by(NEIGHBOURS) {
+                    let near = first..(first + NEIGHBOURS).min(rows);
+                    let near = near.map(|row| row * GROUP_LANES + lane);
+                    let sum = near.clone().map(read).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+                    let known = posterior(sum, known);
+                    for g in near {
+                        m[g] = (posterior(read(g), known) * 255.0 + 0.5) as u8;
+                    }
+                }
             }
         });
     }

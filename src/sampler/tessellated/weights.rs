@@ -10,7 +10,7 @@ use glam::Vec3;
 const GROUP_COUNTS: f32 = 1_073_741_824.0;
 
 /// The least a group's importance is scaled down to, where the cache is sure of its visibility.
-const FLOOR: f32 = 0.03;
+const FLOOR: f32 = 0.05;
 
 /// Groups of the horizon are summed up leaf by leaf where they hold more than this share, divided by the rays: the more
 /// rays, the more it pays to know.
@@ -39,8 +39,8 @@ pub struct Weights {
     pub(super) status: Vec<u8>,
     /// `importance` by what the cache makes of it.
     weighted: Vec<f32>,
-    /// m of each group, and √(m(1 − m)).
-    expected: [Vec<f32>; 2],
+    /// m of each group.
+    expected: Vec<f32>,
     /// Counts before a group in its own lane.
     pub(super) begins: Vec<u32>,
     /// Counts of a group.
@@ -49,8 +49,6 @@ pub struct Weights {
     pub(super) lanes: [u32; GROUP_LANES],
     /// All counts.
     pub(super) total: u32,
-    /// Σ importance·√(m(1 − m)) over Σ importance·m: how noisy the cache expects one ray to be; 1 without a record.
-    pub(super) noise: f32,
 }
 
 /// Makes the weights of a point: those of the normal where it is a new one, and what the record makes of them. Gives the
@@ -82,7 +80,7 @@ impl Weights {
     fn sweep(&mut self, triangles: &Preconvolution, n: Vec3) {
         let groups = &triangles.groups;
         let count = groups.x.len();
-        for row in self.exact.iter_mut().chain(&mut self.expected).chain([&mut self.importance, &mut self.weighted]) {
+        for row in self.exact.iter_mut().chain([&mut self.importance, &mut self.weighted, &mut self.expected]) {
             row.resize(count, 0.0);
         }
         self.status.resize(count, 0);
@@ -133,20 +131,17 @@ impl Weights {
         let count = self.importance.len();
         let importance = &self.importance[..count];
         let mut integral = Vec3::ZERO;
-        self.noise = 1.0;
         let weighted: &[f32] = if let Some(visibility) = visibility {
             let visibility = &visibility[..count];
-            let [m, s] = self.expected.each_mut().map(|row| &mut row[..count]);
+            let m = &mut self.expected[..count];
             let weighted = &mut self.weighted[..count];
             for g in 0..count {
                 m[g] = f32::from(visibility[g]) * (1.0 / 255.0);
-                s[g] = about_sqrt(m[g] * (1.0 - m[g]));
-                weighted[g] = importance[g] * if s[g] > FLOOR { s[g] } else { FLOOR };
+                let s = about_sqrt(m[g] * (1.0 - m[g]));
+                weighted[g] = importance[g] * if s > FLOOR { s } else { FLOOR };
             }
             let [red, green, blue] = self.exact.each_ref().map(|row| dot(m, &row[..count]));
-            let (mean, spread) = (dot(m, importance), dot(s, importance));
             integral = Vec3::new(red, green, blue);
-            self.noise = spread / (mean + spread).max(f32::MIN_POSITIVE);
             weighted
         } else {
             importance
