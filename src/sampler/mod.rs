@@ -205,5 +205,4 @@ pub struct Setup {
 pub type MakeSampler = fn(&Arc<Dome>, &Params, &Setup) -> Result<Box<dyn DomeSampler>>;
 
 /// All dome samplers; the first is the default.
-pub const SAMPLERS: &[Plugin<MakeSampler>] =
-    &[tessellated::PLUGIN, latlong::PLUGIN, cosine::PLUGIN, uniform::PLUGIN];
+pub const SAMPLERS: &[Plugin<MakeSampler>] = &[tessellated::PLUGIN, latlong::PLUGIN, cosine::PLUGIN, uniform::PLUGIN];
