@@ -15,6 +15,10 @@ struct Cli {
 enum Command {
     /// Render a glTF asset under a dome
     Render(Box<commands::render::Args>),
+    /// Compare two EXR pictures (or a list of pairs)
+    Compare(commands::compare::Args),
+    /// List accelerators, samplers, outputs and their options
+    Plugins(commands::plugins::Args),
     /// Measure
     #[command(subcommand)]
     Bench(Bench),
@@ -37,5 +41,7 @@ pub(crate) fn run() -> anyhow::Result<u8> {
         Command::Bench(Bench::Error(args)) => commands::bench_error::run(&args),
         Command::Bench(Bench::Rays(args)) => commands::bench_rays::run(*args).map(|()| 0),
         Command::Inspect(args) => commands::inspect::run(&args),
+        Command::Compare(args) => commands::compare::run(&args),
+        Command::Plugins(args) => commands::plugins::run(&args),
     }
 }

@@ -1,5 +1,7 @@
 //! Every sampler estimates the irradiance of every odd dome without bias, and reports the densities it drew with.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
+
 mod support;
 
 use domelight::dome::Dome;
@@ -11,7 +13,7 @@ use std::sync::Arc;
 use support::samplers::{cosines, dome, normals, point, sampler, shares, study_domes, texels_near};
 
 const RAYS: u32 = 16;
-const BATCHES: u32 = 2048;
+const BATCHES: u32 = 1024;
 
 fn odd_domes() -> Vec<(&'static str, Arc<Dome>)> {
     let mut list = study_domes();
@@ -134,9 +136,11 @@ fn check_reports(spec: &str, sampler: &dyn DomeSampler, dome: &Dome, n: Vec3) {
                 continue; // The draw that found no light.
             }
             let near = texels_near(&dome.grid, *dir);
+            // A sampler's own cells may be finer than texels: rounding may put a direction just across their border.
+            let nudged = [Vec3::ZERO, Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z];
             let agrees = |texel: &&u32| {
-                let pdf = sampler.pdf(&point, &draws, *dir, **texel);
-                (pdf - draws.pdf[i]).abs() <= 1e-4 * draws.pdf[i]
+                let pdf = |nudge: &Vec3| sampler.pdf(&point, &draws, (dir + nudge * 1e-6).normalize(), **texel);
+                nudged.iter().any(|nudge| (pdf(nudge) - draws.pdf[i]).abs() <= 1e-4 * draws.pdf[i])
             };
             let found =
                 near.iter().filter(agrees).any(|texel| dome.texels[*texel as usize] == draws.radiance[i].to_array());

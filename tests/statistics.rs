@@ -1,5 +1,7 @@
 //! χ² of every sampler against the density it claims, over domes and normals; and that the test can fail.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
+
 mod support;
 
 use domelight::sampler::{DomeSampler, Draws, Point, SAMPLERS, SamplerStats};

@@ -2,6 +2,8 @@
 
 pub(crate) mod bench_error;
 pub(crate) mod bench_rays;
+pub(crate) mod compare;
 pub(crate) mod input;
 pub(crate) mod inspect;
+pub(crate) mod plugins;
 pub(crate) mod render;

@@ -41,7 +41,7 @@ pub fn hdr(image: &[Vec3], reference: &[Vec3], width: usize) -> Map {
 
 /// NaN and negative values show as black.
 fn sane(colour: Vec3) -> Vec3 {
-    Vec3::from(colour.to_array().map(|v| v.max(0.0).min(1e18)))
+    Vec3::from(colour.to_array().map(|v| if v > 0.0 { v.min(1e18) } else { 0.0 }))
 }
 
 /// Narkowicz's ACES curve, a 0.6 of exposure inside, as the paper has it: (ax² + bx)/(cx² + dx + e).
@@ -83,8 +83,8 @@ fn to_xyz(c: Vec3) -> Vec3 {
 }
 
 fn from_xyz(c: Vec3) -> Vec3 {
-    let r = Vec3::new(3.241_003_3, -1.537_399, -0.498_615_88);
-    let g = Vec3::new(-0.969_224_25, 1.875_93, 0.041_554_226);
+    let r = Vec3::new(3.241_003_3, -1.537_399, -0.498_615_9);
+    let g = Vec3::new(-0.969_224_3, 1.875_93, 0.041_554_23);
     let b = Vec3::new(0.055_639_42, -0.204_011_2, 1.057_149);
     Vec3::new(c.dot(r), c.dot(g), c.dot(b))
 }

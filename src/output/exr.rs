@@ -85,7 +85,9 @@ fn attributes(frame: &Frame) -> LayerAttributes {
                 // A string under a name the format keeps for itself would make the file unreadable.
                 let reserved = key.is_empty() || standard_names::ALL.contains(&key.as_bytes());
                 let mut name = if reserved { format!("domelight.{key}") } else { key.to_owned() };
-                name.truncate(name.floor_char_boundary(255));
+                while name.len() > 255 {
+                    name.pop();
+                }
                 attributes.other.insert(text(&name), AttributeValue::Text(value));
             }
         }

@@ -16,8 +16,8 @@ pub enum Curve {
 impl Curve {
     /// Maps a colour; NaN and negative channels become 0.
     pub fn apply(self, colour: Vec3) -> Vec3 {
-        // f32::max drops NaN; the bound keeps infinities from making new ones below.
-        let colour = Vec3::from(colour.to_array().map(|v| v.max(0.0).min(1e30)));
+        // NaN is not > 0; the bound keeps infinities from making new ones below.
+        let colour = Vec3::from(colour.to_array().map(|v| if v > 0.0 { v.min(1e30) } else { 0.0 }));
         match self {
             Self::Neutral => neutral(colour),
             Self::Aces => aces(colour),

@@ -139,22 +139,30 @@ fn turn([cos, sin]: [f32; 2], angle: f32) -> [f32; 2] {
 impl DomeSampler for LatLong {
     fn draw(&self, point: &Point, n: u32, out: &mut Draws) {
         out.clear();
-        for i in 0..n.max(1) {
-            let [a, b] = point.numbers.square(i, n);
-            let row = self.rows.find(a);
-            let cell = &self.cells[row.index as usize];
-            let columns = self.columns[row.index as usize].as_ref().expect("a row that can be drawn is not black");
-            let column = columns.find(b);
-            let fresh = random::combine(a, b);
-            let z = cell.top - cell.drop * row.fraction(fresh);
-            // In f64: near a pole nothing would be left of 1 − z² in f32.
-            let ring = ((1.0 - z) * (1.0 + z)).max(0.0).sqrt() as f32;
-            let angle = (column.fraction(random::mix(fresh)) - 0.5) as f32 * self.step;
-            let [cos, sin] = turn(self.middles[column.index as usize], angle);
-            out.dir.push(Vec3::new(ring * cos, z as f32, ring * sin));
-            let texel = row.index as usize * self.middles.len() + column.index as usize;
-            out.radiance.push(Vec3::from(self.dome.texels[texel]));
-            out.pdf.push((cell.density * column.width as f64) as f32);
+        // Numbers first, then the look-ups: those of one direction don't wait for the numbers of the next, and the
+        // processor has several cache misses under way at once.
+        const BLOCK: u32 = 64;
+        let n = n.max(1);
+        let mut numbers = [[0; 2]; BLOCK as usize];
+        for first in (0..n).step_by(BLOCK as usize) {
+            let block = &mut numbers[..(n - first).min(BLOCK) as usize];
+            block.iter_mut().zip(first..).for_each(|(square, i)| *square = point.numbers.square(i, n));
+            for &[a, b] in block.iter() {
+                let row = self.rows.find(a);
+                let cell = &self.cells[row.index as usize];
+                let columns = self.columns[row.index as usize].as_ref().expect("a row that can be drawn is not black");
+                let column = columns.find(b);
+                let fresh = random::combine(a, b);
+                let z = cell.top - cell.drop * row.fraction(fresh);
+                // In f64: near a pole nothing would be left of 1 − z² in f32.
+                let ring = ((1.0 - z) * (1.0 + z)).max(0.0).sqrt() as f32;
+                let angle = (column.fraction(random::mix(fresh)) - 0.5) as f32 * self.step;
+                let [cos, sin] = turn(self.middles[column.index as usize], angle);
+                out.dir.push(Vec3::new(ring * cos, z as f32, ring * sin));
+                let texel = row.index as usize * self.middles.len() + column.index as usize;
+                out.radiance.push(Vec3::from(self.dome.texels[texel]));
+                out.pdf.push((cell.density * column.width as f64) as f32);
+            }
         }
     }
 

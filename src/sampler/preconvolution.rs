@@ -2,17 +2,17 @@
 //!
 //! For a triangle t with radiance L let F_t = ∫_t L ω dω. Its irradiance on a surface with normal n is *exactly* n·F_t
 //! when the triangle lies above the horizon, and 0 below. What remains is the band of triangles that the horizon
-//! crosses. There a closed form stands in: with d = n·F_t and s = |F_t| sin(radius), which is d where the triangle just
-//! touches the horizon,
+//! crosses. There a closed form stands in. Let d = n·F_t, s = |F_t| sin(radius) with the radius of the cone that holds
+//! the triangle, and r = |F_t| times the radius of the disc that spreads like it (r² = 4(1 − |F_t|/Φ_t) |F_t|²):
 //!
 //! ```text
-//!   e(d) = d                      for d ≥ s      (exact)
-//!        = s·max(x²/4, x/8)       for d = (x − 1)·s, 0 < x < 2
-//!        = 0                      for d ≤ −s     (exact)
+//!   e(d) = max( d             for d ≥ r        (exact for d ≥ s, where the triangle lies above)
+//!               (d + r)²/4r   for −r < d < r   (a disc's, about)
+//!               (d + s)/128   for −s < d )     and 0 for d ≤ −s (exact)
 //! ```
 //!
-//! It is positive wherever the triangle has a point above the horizon, and never so small that a sample's weight
-//! exceeds eight times its triangle's. It goes into densities only; control variates use the exact part.
+//! It is positive wherever the triangle has a point above the horizon, and bounds what a sample can weigh. It goes into
+//! densities only; control variates use the exact part.
 
 use super::cells::DomeCells;
 use super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
@@ -31,6 +31,8 @@ pub struct Moments {
     pub z: Vec<f32>,
     /// |F_t| sin(radius).
     pub s: Vec<f32>,
+    /// |F_t| by the radius of the disc that spreads like the triangle.
+    pub r: Vec<f32>,
     /// F_t a channel: nine rows, x of red, y of red, … z of blue.
     pub rgb: [Vec<f32>; 9],
 }
@@ -38,13 +40,14 @@ pub struct Moments {
 impl Moments {
     fn with_len(n: usize) -> Self {
         let row = || vec![0.0; n];
-        Self { x: row(), y: row(), z: row(), s: row(), rgb: std::array::from_fn(|_| row()) }
+        Self { x: row(), y: row(), z: row(), s: row(), r: row(), rgb: std::array::from_fn(|_| row()) }
     }
 
     fn set(&mut self, i: usize, triangle: &Triangle) {
         let f = triangle.weight.as_vec3();
         (self.x[i], self.y[i], self.z[i]) = (f.x, f.y, f.z);
         self.s[i] = triangle.s();
+        self.r[i] = triangle.r();
         for (channel, f) in triangle.rgb.iter().enumerate() {
             let f = f.as_vec3();
             for (axis, value) in [f.x, f.y, f.z].into_iter().enumerate() {
@@ -63,13 +66,13 @@ impl Moments {
 
 /// The scalar irradiance estimate e(d) of the module's head.
 #[inline(always)]
-pub fn soft(d: f32, s: f32) -> f32 {
+pub fn soft(d: f32, s: f32, r: f32) -> f32 {
     // Plain comparisons are what vector units have; f32::max would see to NaN as well.
     let max = |a: f32, b: f32| if a > b { a } else { b };
-    let above = max(d + s, 0.0);
-    // x = above/s; s = 0 only for an empty triangle, where d = 0 too.
-    let inside = max(above * above * (0.25 / max(s, f32::MIN_POSITIVE)), 0.125 * above);
-    if d >= s { d } else { inside }
+    let above = max(d + r, 0.0);
+    // An empty triangle has r = 0, and d = 0 too.
+    let disc = above * above * (0.25 / max(r, f32::MIN_POSITIVE));
+    max(if d >= r { d } else { disc }, max((d + s) * (1.0 / 128.0), 0.0))
 }
 
 /// One triangle's sums while it is made.
@@ -77,21 +80,28 @@ pub fn soft(d: f32, s: f32) -> f32 {
 struct Triangle {
     weight: DVec3,
     rgb: [DVec3; 3],
+    energy: f64,
     radius: f64,
 }
 
 impl Triangle {
     fn new(cells: &DomeCells, members: &[u32]) -> Self {
-        let (mut weight, mut rgb) = (DVec3::ZERO, [DVec3::ZERO; 3]);
+        let (mut weight, mut rgb, mut energy) = (DVec3::ZERO, [DVec3::ZERO; 3], 0.0);
         for &cell in members {
             let mean = cells.mean_direction(cell);
             let radiance = cells.radiance(cell);
+            energy += cells.energy(cell);
             weight += cells.energy(cell) * mean;
             for (sum, l) in rgb.iter_mut().zip(radiance.to_array()) {
                 *sum += f64::from(l) * cells.solid_angle(cell) * mean;
             }
         }
-        Self { weight, rgb, radius: radius(cells, weight, members) }
+        Self { weight, rgb, energy, radius: radius(cells, weight, members) }
+    }
+
+    fn r(&self) -> f32 {
+        let spread = (1.0 - self.weight.length() / self.energy).max(0.0);
+        (self.weight.length() * 2.0 * spread.sqrt()).min(f64::from(self.s())) as f32
     }
 
     fn s(&self) -> f32 {
@@ -153,12 +163,13 @@ impl Preconvolution {
         };
         for (g, range) in tessellation.groups.iter().enumerate() {
             let g = slot(g, padded, GROUP_LANES);
-            let mut whole = Triangle { weight: DVec3::ZERO, rgb: [DVec3::ZERO; 3], radius: 0.0 };
+            let mut whole = Triangle { weight: DVec3::ZERO, rgb: [DVec3::ZERO; 3], energy: 0.0, radius: 0.0 };
             for (i, leaf) in range.clone().enumerate() {
                 let at = g * LEAVES_A_GROUP + slot(i, LEAVES_A_GROUP, LEAF_LANES);
                 result.leaves.set(at, &leaves[leaf]);
                 result.cells[at] = tessellation.leaves[leaf].clone();
                 whole.weight += leaves[leaf].weight;
+                whole.energy += leaves[leaf].energy;
                 for (sum, f) in whole.rgb.iter_mut().zip(leaves[leaf].rgb) {
                     *sum += f;
                 }

@@ -1,21 +1,23 @@
-//! The dome cut into spherical triangles: an icosahedron, split four ways where it pays.
+//! The dome cut into spherical triangles: a cube's faces along their diagonals, then halved and halved again where it
+//! pays.
 //!
-//! Splitting is greedy by a priority of energy and solid angle. It runs twice: first into *groups*, the cells of which
+//! Halving a right-angled triangle at its longest side gives two of the same shape, and sizes a factor of two apart:
+//! with four-way splits of an icosahedron a fixed number of triangles leaves some four times as large as others. Splitting is greedy by a priority of energy and solid angle. It runs twice: first into *groups*, the cells of which
 //! the shadow cache knows the visibility, then every group into its *leaves*, inside which the cosine hardly changes.
 //! Each cell of the image belongs to the leaf its centre lies in, so that leaves partition the cells exactly, whatever
 //! the rounding. Triangles follow one continuous curve over the sphere (a child's curve enters where its predecessor's
 //! ended): neighbours along the curve are neighbours on the dome, so one stratified number stratifies directions.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3, EulerRot};
 use rayon::prelude::*;
 use std::collections::BinaryHeap;
 use std::ops::Range;
 
 /// The most leaves a group may have.
-pub const LEAVES_A_GROUP: usize = 32;
+pub const LEAVES_A_GROUP: usize = 48;
 
-/// How deep triangles are split at most; a triangle of that level is 2e-4 rad across, below a texel of any dome.
-const DEEPEST: u32 = 13;
+/// How deep triangles are split at most; a triangle of that level is 1e-4 rad across, below a texel of any dome.
+const DEEPEST: u32 = 28;
 
 /// The image's cells as the tessellation sees them.
 pub trait Cells: Sync {
@@ -119,7 +121,7 @@ impl<C: Cells> Grow<'_, C> {
     /// returns the leaves along the curve.
     fn run(self, start: Vec<Node>, most: usize, most_a_group: usize, priority: impl Fn(&Node) -> f64) -> Vec<Node> {
         let mut in_group = vec![0usize; start.len()];
-        let mut next: Vec<Option<[Option<usize>; 4]>> = vec![None; start.len()];
+        let mut next: Vec<Option<[Option<usize>; 2]>> = vec![None; start.len()];
         let mut nodes = start;
         let roots = nodes.len();
         let mut heap: BinaryHeap<_> =
@@ -128,14 +130,14 @@ impl<C: Cells> Grow<'_, C> {
             in_group[node.group] += 1;
         }
         let mut count = roots;
-        while count + 3 <= most {
+        while count < most {
             let Some(Queued { node, .. }) = heap.pop() else { break };
             let group = nodes[node].group;
-            if nodes[node].cells.len() < 2 || nodes[node].depth >= DEEPEST || in_group[group] + 3 > most_a_group {
+            if nodes[node].cells.len() < 2 || nodes[node].depth >= DEEPEST || in_group[group] >= most_a_group {
                 continue;
             }
             let parent = nodes[node].clone();
-            let mut slots = [None; 4];
+            let mut slots = [None; 2];
             for (slot, child) in slots.iter_mut().zip(split(self.cells, self.order, self.scratch, &parent)) {
                 if !child.cells.is_empty() {
                     *slot = Some(nodes.len());
@@ -163,59 +165,39 @@ impl<C: Cells> Grow<'_, C> {
     }
 }
 
-/// The four children of a triangle in the curve's order, the parent's cells sorted into them in place.
-fn split(cells: &impl Cells, order: &mut [u32], scratch: &mut Vec<u32>, parent: &Node) -> [Node; 4] {
-    let [a, b, c] = parent.corners;
-    let (ab, bc, ca) = ((a + b).normalize(), (b + c).normalize(), (c + a).normalize());
-    let corners = [[a, ab, ca], [ca, bc, ab], [ab, b, bc], [bc, ca, c]];
-    // The planes that cut the corners off, positive on the corner's side.
-    let plane = |p: DVec3, q: DVec3, side: DVec3| {
-        let n = p.cross(q);
-        if n.dot(side) < 0.0 { -n } else { n }
-    };
-    let planes = [plane(ab, ca, a), plane(ab, bc, b), plane(bc, ca, c)];
-    let place = |cell: u32| {
-        let d = cells.center(cell);
-        if d.dot(planes[0]) > 0.0 {
-            0
-        } else if d.dot(planes[1]) > 0.0 {
-            2
-        } else if d.dot(planes[2]) > 0.0 {
-            3
-        } else {
-            1
-        }
-    };
+/// The two halves of a triangle in the curve's order, the parent's cells sorted into them in place.
+fn split(cells: &impl Cells, order: &mut [u32], scratch: &mut Vec<u32>, parent: &Node) -> [Node; 2] {
+    let [entry, by, exit] = parent.corners;
+    let middle = (entry + exit).normalize();
+    let corners = [[entry, middle, by], [by, middle, exit]];
+    // The plane of the cut, positive on the entry's side.
+    let normal = by.cross(middle);
+    let normal = if normal.dot(entry) < 0.0 { -normal } else { normal };
     let own = &mut order[parent.cells.clone()];
     scratch.clear();
-    scratch.extend_from_slice(own);
-    let mut places = vec![0u8; own.len()];
-    let mut counts = [0usize; 4];
-    let mut energy = [0.0; 4];
-    for (place_of, &cell) in places.iter_mut().zip(own.iter()) {
-        let p = place(cell);
-        *place_of = p as u8;
-        counts[p] += 1;
-        energy[p] += cells.energy(cell);
-    }
-    let mut begin = [0; 4];
-    for i in 1..4 {
-        begin[i] = begin[i - 1] + counts[i - 1];
-    }
-    let mut at = begin;
-    for (&p, &cell) in places.iter().zip(scratch.iter()) {
-        own[at[p as usize]] = cell;
-        at[p as usize] += 1;
-    }
-    std::array::from_fn(|i| {
-        let first = parent.cells.start + begin[i];
-        Node {
-            corners: corners[i],
-            cells: first..first + counts[i],
-            energy: energy[i],
-            depth: parent.depth + 1,
-            group: parent.group,
+    let mut energy = [0.0; 2];
+    let mut kept = 0;
+    for i in 0..own.len() {
+        let cell = own[i];
+        if cells.center(cell).dot(normal) > 0.0 {
+            energy[0] += cells.energy(cell);
+            own[kept] = cell;
+            kept += 1;
+        } else {
+            energy[1] += cells.energy(cell);
+            scratch.push(cell);
         }
+    }
+    own[kept..].copy_from_slice(scratch);
+    let Range { start, end } = parent.cells;
+    let halves = [start..start + kept, start + kept..end];
+    let mut halves = halves.into_iter();
+    std::array::from_fn(|i| Node {
+        corners: corners[i],
+        cells: halves.next().expect("there are two halves"),
+        energy: energy[i],
+        depth: parent.depth + 1,
+        group: parent.group,
     })
 }
 
@@ -230,12 +212,14 @@ pub fn spherical_area([a, b, c]: [DVec3; 3]) -> f64 {
     2.0 * triple.abs().atan2(1.0 + a.dot(b) + b.dot(c) + c.dot(a))
 }
 
-/// Lit cells sorted into the twenty faces of the icosahedron, along the curve.
+/// Lit cells sorted into the cube's twelve triangles, along the curve.
 fn sort_into_faces(cells: &impl Cells) -> (Vec<u32>, Vec<Node>) {
-    let faces = icosahedron_path();
-    let centers: Vec<DVec3> = faces.iter().map(|[a, b, c]| (*a + *b + *c).normalize()).collect();
+    const FACES: usize = 12;
     const DARK: u8 = u8::MAX;
-    // By symmetry a direction lies in the face whose centre is nearest.
+    let faces = cube_path();
+    let inward = |p: DVec3, q: DVec3, inside: DVec3| p.cross(q) * p.cross(q).dot(inside).signum();
+    let sides: Vec<[DVec3; 3]> =
+        faces.iter().map(|&[a, b, c]| [inward(a, b, c), inward(b, c, a), inward(c, a, b)]).collect();
     let face_of: Vec<(u8, f64)> = (0..cells.len() as u32)
         .into_par_iter()
         .with_min_len(4096)
@@ -245,33 +229,35 @@ fn sort_into_faces(cells: &impl Cells) -> (Vec<u32>, Vec<Node>) {
                 return (DARK, 0.0);
             }
             let d = cells.center(cell);
+            // The triangle it lies deepest in: inside all three sides but for rounding.
+            let depth = |sides: &[DVec3; 3]| sides.iter().map(|n| n.dot(d)).fold(f64::INFINITY, f64::min);
             let mut best = (0, f64::NEG_INFINITY);
-            for (i, center) in centers.iter().enumerate() {
-                let cosine = center.dot(d);
-                if cosine > best.1 {
-                    best = (i as u8, cosine);
+            for (i, sides) in sides.iter().enumerate() {
+                let depth = depth(sides);
+                if depth > best.1 {
+                    best = (i as u8, depth);
                 }
             }
             (best.0, energy)
         })
         .collect();
-    let mut counts = [0usize; 20];
-    let mut energy = [0.0; 20];
+    let mut counts = [0usize; FACES];
+    let mut energy = [0.0; FACES];
     for &(face, e) in face_of.iter().filter(|(face, _)| *face != DARK) {
         counts[usize::from(face)] += 1;
         energy[usize::from(face)] += e;
     }
-    let mut begin = [0usize; 21];
-    for i in 0..20 {
+    let mut begin = [0usize; FACES + 1];
+    for i in 0..FACES {
         begin[i + 1] = begin[i] + counts[i];
     }
-    let mut order = vec![0; begin[20]];
+    let mut order = vec![0; begin[FACES]];
     let mut at = begin;
     for (cell, &(face, _)) in face_of.iter().enumerate().filter(|(_, (face, _))| *face != DARK) {
         order[at[usize::from(face)]] = cell as u32;
         at[usize::from(face)] += 1;
     }
-    let nodes = (0..20)
+    let nodes = (0..FACES)
         .map(|i| Node { corners: faces[i], cells: begin[i]..begin[i + 1], energy: energy[i], depth: 0, group: i })
         .filter(|node| !node.cells.is_empty())
         .enumerate()
@@ -280,53 +266,31 @@ fn sort_into_faces(cells: &impl Cells) -> (Vec<u32>, Vec<Node>) {
     (order, nodes)
 }
 
-/// The icosahedron's faces, each [entry, passed by, exit], such that every face is entered where the one before it
-/// was left.
-fn icosahedron_path() -> Vec<[DVec3; 3]> {
-    let golden = (1.0 + 5f64.sqrt()) / 2.0;
-    let mut corners = Vec::new();
-    for (s, t) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
-        corners.push(DVec3::new(0.0, s, t * golden).normalize());
-        corners.push(DVec3::new(s, t * golden, 0.0).normalize());
-        corners.push(DVec3::new(t * golden, 0.0, s).normalize());
+/// The cube's faces cut along diagonals, each triangle [entry, passed by, exit], such that every one is entered where the
+/// one before it was left.
+///
+/// The diagonals are the edges of a tetrahedron, each walked twice, once for either half of its face: a circuit over all
+/// edges of a graph whose corners all have an even number.
+fn cube_path() -> Vec<[DVec3; 3]> {
+    // Turned out of the axes: floors and walls are everywhere, and no row of triangles should lie along their horizons.
+    let turn = DQuat::from_euler(EulerRot::YXZ, 0.4, 0.3, 0.2);
+    let corner = |x: i32, y: i32, z: i32| turn * DVec3::new(f64::from(x), f64::from(y), f64::from(z)).normalize();
+    let ends = [corner(1, 1, 1), corner(1, -1, -1), corner(-1, 1, -1), corner(-1, -1, 1)];
+    // Edges of the tetrahedron in the order of a circuit; the second time round in the same order.
+    const CIRCUIT: [(usize, usize); 12] =
+        [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (2, 0), (0, 3), (3, 2), (2, 1), (1, 3), (3, 1), (1, 0)];
+    let mut path: Vec<[DVec3; 3]> = Vec::with_capacity(12);
+    for (from, to) in CIRCUIT {
+        let (entry, exit) = (ends[from], ends[to]);
+        // The face's other two corners: one of the antipodes of the remaining ends, each used once.
+        let others = (0..4).filter(|&k| k != from && k != to).map(|k| -ends[k]);
+        let free = |by: &DVec3| {
+            !path.iter().any(|[a, b, c]| b == by && (*a == entry || *c == entry) && (*a == exit || *c == exit))
+        };
+        let by = others.into_iter().find(free).expect("every diagonal is walked twice");
+        path.push([entry, by, exit]);
     }
-    let edge = |a: usize, b: usize| a != b && corners[a].dot(corners[b]) > 0.4;
-    let mut faces = Vec::new();
-    for a in 0..12 {
-        for b in a + 1..12 {
-            for c in b + 1..12 {
-                if edge(a, b) && edge(b, c) && edge(a, c) {
-                    faces.push([a, b, c]);
-                }
-            }
-        }
-    }
-    // Depth-first search for a path over all faces; it is found at once and always the same.
-    fn extend(faces: &[[usize; 3]], used: &mut [bool], entry: usize, path: &mut Vec<[usize; 3]>) -> bool {
-        if path.len() == faces.len() {
-            return true;
-        }
-        for i in 0..faces.len() {
-            if used[i] || !faces[i].contains(&entry) {
-                continue;
-            }
-            let others: Vec<usize> = faces[i].iter().copied().filter(|&v| v != entry).collect();
-            for (by, exit) in [(others[0], others[1]), (others[1], others[0])] {
-                used[i] = true;
-                path.push([entry, by, exit]);
-                if extend(faces, used, exit, path) {
-                    return true;
-                }
-                path.pop();
-                used[i] = false;
-            }
-        }
-        false
-    }
-    let mut path = Vec::new();
-    let found = extend(&faces, &mut vec![false; faces.len()], faces[0][0], &mut path);
-    debug_assert!(found, "the icosahedron has such a path");
-    path.into_iter().map(|face| face.map(|v| corners[v])).collect()
+    path
 }
 
 #[cfg(test)]
@@ -370,8 +334,8 @@ mod tests {
 
     #[test]
     fn the_curve_is_continuous_and_faces_cover_the_sphere() {
-        let path = icosahedron_path();
-        assert_eq!(path.len(), 20);
+        let path = cube_path();
+        assert_eq!(path.len(), 12);
         for pair in path.windows(2) {
             assert_eq!(pair[0][2], pair[1][0]);
         }

@@ -179,7 +179,11 @@ pub fn chi_square(sampler: &dyn DomeSampler, dome: &Dome, n: Vec3, seed: u32, to
     for batch in 0..total / BATCH {
         let point = point(n, random::hash(&[seed, batch]));
         sampler.draw(&point, BATCH, &mut draws);
-        for (dir, pdf) in draws.dir.iter().zip(&draws.pdf) {
+        for ((dir, pdf), radiance) in draws.dir.iter().zip(&draws.pdf).zip(&draws.radiance) {
+            if *dir == -n && *radiance == Vec3::ZERO {
+                drawn += 1; // The draw that found no light: nowhere, but drawn.
+                continue;
+            }
             if !(*pdf > 0.0 && pdf.is_finite()) {
                 return Err(format!("drew {dir} with density {pdf}"));
             }

@@ -107,7 +107,7 @@ impl Kernel for Descend<'_> {
         for i in 0..padded {
             block.probability[i] *= f64::from(block.width[i]) / f64::from(block.total[i]);
         }
-        block.cells(sampler, count);
+        block.cells(sampler, normal, count);
         for i in 0..padded {
             block.probability[i] *= f64::from(block.width[i]) / f64::from(block.total[i]);
             // The last of the number, digit by digit to the two sides of the cell; fresh digits below.
@@ -173,14 +173,14 @@ impl Block {
             let at = ((remainder(self, i) * f64::from(counts.total)) as u32).min(counts.total - 1);
             let slot = counts.find(at);
             self.leaf[i] = group * LEAVES_A_GROUP as u32 + slot as u32;
-            self.above[i] = (counts.above >> slot) & 1;
+            self.above[i] = u32::from(counts.above(slot));
             self.offset[i] = at - counts.lanes[slot % LEAF_LANES] - counts.begins[slot];
             self.width[i] = counts.widths[slot];
         }
     }
 
     #[inline(always)]
-    fn cells(&mut self, sampler: &Tessellated, count: usize) {
+    fn cells(&mut self, sampler: &Tessellated, normal: Vec3, count: usize) {
         for i in 0..count {
             if self.leaf[i] != NO_LEAF {
                 self.total[i] = sampler.leaves[self.leaf[i] as usize].counts;
@@ -194,23 +194,61 @@ impl Block {
                 continue;
             }
             let leaf = sampler.leaves[self.leaf[i] as usize];
+            if self.above[i] == 0 && leaf.end - leaf.begin <= MOST_AT_HORIZON {
+                self.horizon(sampler, leaf, normal, i);
+                continue;
+            }
             let place = sampler.find_cell(leaf, self.at[i]);
             self.place[i] = place;
             self.offset[i] = self.at[i] - sampler.begins[place as usize];
             self.width[i] = sampler.cell_width(leaf, place);
         }
     }
+
+    /// A cell of a leaf that crosses the horizon, by energy times cosine. Few samples come here; half of them would go
+    /// below the horizon otherwise.
+    #[inline(never)]
+    fn horizon(&mut self, sampler: &Tessellated, leaf: Leaf, normal: Vec3, i: usize) {
+        let total: u32 = (leaf.begin..leaf.end).map(|place| sampler.horizon_width(leaf, place, normal)).sum();
+        self.total[i] = total.max(1);
+        if total == 0 {
+            (self.leaf[i], self.offset[i], self.width[i]) = (NO_LEAF, 0, 1);
+            return;
+        }
+        // The position among the leaf's counts, fresh digits below, carried over to the counts here.
+        let fresh = f64::from(random::mix(self.fresh[i] ^ 0x2545_f491)) * 2f64.powi(-32);
+        let share = (f64::from(self.at[i]) + fresh) / f64::from(leaf.counts);
+        let at = ((share * f64::from(total)) as u32).min(total - 1);
+        let mut begin = 0;
+        for place in leaf.begin..leaf.end {
+            let width = sampler.horizon_width(leaf, place, normal);
+            if at < begin + width {
+                (self.place[i], self.offset[i], self.width[i]) = (place, at - begin, width);
+                return;
+            }
+            begin += width;
+        }
+    }
 }
 
+/// Leaves with more cells than this are not summed up cell by cell.
+pub(super) const MOST_AT_HORIZON: u32 = 4096;
+
 /// The integer CDF of a group's leaves.
-#[derive(Debug, Default, Clone, Copy)]
+#[derive(Debug, Clone, Copy)]
 pub(super) struct LeafCounts {
     begins: [u32; LEAVES_A_GROUP],
     pub(super) widths: [u32; LEAVES_A_GROUP],
     /// A bit a leaf: wholly above the horizon.
-    above: u32,
+    above: u64,
     lanes: [u32; LEAF_LANES],
     pub(super) total: u32,
+}
+
+impl Default for LeafCounts {
+    fn default() -> Self {
+        Self { begins: [0; LEAVES_A_GROUP], widths: [0; LEAVES_A_GROUP], above: 0, lanes: [0; LEAF_LANES], total: 0 }
+    }
 }
 
 impl LeafCounts {
@@ -221,12 +259,12 @@ impl LeafCounts {
         let row = |row: &'_ [f32]| -> [f32; LEAVES_A_GROUP] {
             row[range.clone()].try_into().expect("a group has that many slots")
         };
-        let (x, y, z, s) = (row(&leaves.x), row(&leaves.y), row(&leaves.z), row(&leaves.s));
+        let [x, y, z, s, r] = [&leaves.x, &leaves.y, &leaves.z, &leaves.s, &leaves.r].map(|all| row(all));
         let d: [f32; LEAVES_A_GROUP] = std::array::from_fn(|i| n.x * x[i] + n.y * y[i] + n.z * z[i]);
-        let e: [f32; LEAVES_A_GROUP] = std::array::from_fn(|i| soft(d[i], s[i]));
+        let e: [f32; LEAVES_A_GROUP] = std::array::from_fn(|i| soft(d[i], s[i], r[i]));
         let mut above = 0;
         for i in 0..LEAVES_A_GROUP {
-            above |= u32::from(d[i] >= s[i]) << i;
+            above |= u64::from(d[i] >= s[i]) << i;
         }
         Self { above, ..Self::from_weights(&e) }
     }
@@ -235,7 +273,7 @@ impl LeafCounts {
     pub(super) fn of_energy(leaves: &Moments, group: usize) -> Self {
         let first = group * LEAVES_A_GROUP;
         let energy = |i: usize| Vec3::new(leaves.x[first + i], leaves.y[first + i], leaves.z[first + i]).length();
-        Self { above: u32::MAX, ..Self::from_weights(&std::array::from_fn(energy)) }
+        Self { above: u64::MAX, ..Self::from_weights(&std::array::from_fn(energy)) }
     }
 
     #[inline(always)]
@@ -260,6 +298,12 @@ impl LeafCounts {
             result.total += lane;
         }
         result
+    }
+
+    /// Whether a leaf lies wholly above the horizon.
+    #[inline(always)]
+    pub(super) fn above(&self, slot: usize) -> bool {
+        (self.above >> slot) & 1 == 1
     }
 
     /// The slot that count `at` falls to.
@@ -300,6 +344,16 @@ impl Tessellated {
             size -= half;
         }
         leaf.begin + low as u32
+    }
+
+    /// The counts of a cell in a leaf that crosses the horizon: positive wherever a part of it is above.
+    pub(super) fn horizon_width(&self, leaf: Leaf, place: u32, normal: Vec3) -> u32 {
+        let center = self.cells.direction(self.order[place as usize].place, 0.5, 0.5).0;
+        let cosine = center.dot(normal) + self.cells.half_diagonal() as f32;
+        if cosine <= 0.0 {
+            return 0;
+        }
+        (f64::from(self.cell_width(leaf, place)) * f64::from(cosine.min(1.0))) as u32 + 1
     }
 
     #[inline(always)]

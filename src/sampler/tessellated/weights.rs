@@ -12,8 +12,9 @@ const GROUP_COUNTS: f32 = 1_073_741_824.0;
 /// The least a group's importance is scaled down to, where the cache is sure of its visibility.
 const FLOOR: f32 = 0.03;
 
-/// Groups of the horizon that hold more than this share are summed up leaf by leaf.
-const NOTABLE: f32 = 5e-4;
+/// Groups of the horizon are summed up leaf by leaf where they hold more than this share, divided by the rays: the more
+/// rays, the more it pays to know.
+const NOTABLE: f32 = 6.4e-4;
 
 /// The control variate leaves the group out: below the horizon, or crossing it with next to no light.
 pub(super) const BELOW: u8 = 0;
@@ -27,8 +28,9 @@ pub(super) const CROSSING: u8 = 3;
 /// The weights of one point.
 #[derive(Debug, Default)]
 pub struct Weights {
-    /// The normal that the rows below were made for.
+    /// The normal and the number of rays that the rows below were made for.
     normal: Vec3,
+    rays: u32,
     /// Each group's irradiance, about.
     pub(super) importance: Vec<f32>,
     /// Each group's irradiance a channel, where it is exact.
@@ -56,6 +58,7 @@ pub struct Weights {
 pub(super) struct Weigh<'a> {
     pub(super) triangles: &'a Preconvolution,
     pub(super) normal: Vec3,
+    pub(super) rays: u32,
     pub(super) visibility: Option<&'a [u8]>,
     pub(super) weights: &'a mut Weights,
 }
@@ -65,8 +68,9 @@ impl Kernel for Weigh<'_> {
 
     #[inline(always)]
     fn run(self) -> Vec3 {
-        let Self { triangles, normal, visibility, weights } = self;
-        if weights.normal != normal || weights.importance.is_empty() {
+        let Self { triangles, normal, rays, visibility, weights } = self;
+        if weights.normal != normal || weights.rays != rays || weights.importance.is_empty() {
+            weights.rays = rays;
             weights.sweep(triangles, normal);
         }
         weights.weigh(visibility)
@@ -84,14 +88,14 @@ impl Weights {
         self.status.resize(count, 0);
         self.begins.resize(count, 0);
         self.widths.resize(count, 0);
-        let (x, y, z, s) = (&groups.x[..count], &groups.y[..count], &groups.z[..count], &groups.s[..count]);
+        let [x, y, z, s, r] = [&groups.x, &groups.y, &groups.z, &groups.s, &groups.r].map(|row| &row[..count]);
         let importance = &mut self.importance[..count];
         let status = &mut self.status[..count];
         let [rx, ry, rz, gx, gy, gz, bx, by, bz] = groups.rgb.each_ref().map(|row| &row[..count]);
         let [red, green, blue] = self.exact.each_mut().map(|row| &mut row[..count]);
         for g in 0..count {
             let d = n.x * x[g] + n.y * y[g] + n.z * z[g];
-            importance[g] = soft(d, s[g]);
+            importance[g] = soft(d, s[g], r[g]);
             let on = if d >= s[g] { 1.0 } else { 0.0 };
             red[g] = on * (n.x * rx[g] + n.y * ry[g] + n.z * rz[g]);
             green[g] = on * (n.x * gx[g] + n.y * gy[g] + n.z * gz[g]);
@@ -102,7 +106,7 @@ impl Weights {
             status[g] = if d >= s[g] { ABOVE } else { BELOW } + if d >= 3.0 * s[g] { HIGH - ABOVE } else { 0 };
         }
         // The horizon's groups, leaf by leaf where that matters.
-        let notable = NOTABLE * sum(importance);
+        let notable = NOTABLE / self.rays as f32 * sum(importance);
         for g in 0..count {
             if status[g] == BELOW && importance[g] > notable {
                 let leaves = &triangles.leaves;
@@ -110,9 +114,9 @@ impl Weights {
                 let row = |row: &'_ [f32]| -> [f32; LEAVES_A_GROUP] {
                     row[range.clone()].try_into().expect("a group has that many slots")
                 };
-                let (x, y, z, s) = (row(&leaves.x), row(&leaves.y), row(&leaves.z), row(&leaves.s));
+                let [x, y, z, s, r] = [&leaves.x, &leaves.y, &leaves.z, &leaves.s, &leaves.r].map(|all| row(all));
                 let d: [f32; LEAVES_A_GROUP] = std::array::from_fn(|i| n.x * x[i] + n.y * y[i] + n.z * z[i]);
-                importance[g] = sum(&std::array::from_fn::<_, LEAVES_A_GROUP, _>(|i| soft(d[i], s[i])));
+                importance[g] = sum(&std::array::from_fn::<_, LEAVES_A_GROUP, _>(|i| soft(d[i], s[i], r[i])));
                 status[g] = CROSSING;
                 for (channel, total) in [&mut red[g], &mut green[g], &mut blue[g]].into_iter().enumerate() {
                     let [x, y, z] = [0, 1, 2].map(|axis| row(&leaves.rgb[3 * channel + axis]));

@@ -1,0 +1,179 @@
+//! Two pictures and what there is to say about them.
+
+use anyhow::{Result, bail};
+use domelight::metrics::ztest::{ZTest, z_test};
+use domelight::metrics::{Differences, differences, flip};
+use domelight::output::tonemap::Curve;
+use domelight::output::{Frame, read};
+use glam::Vec3;
+use std::fmt;
+use std::path::Path;
+
+/// Two pictures of one size.
+#[derive(Debug)]
+pub(super) struct Pair {
+    pub(super) names: [String; 2],
+    pub(super) width: usize,
+    pub(super) images: [Vec<Vec3>; 2],
+    variances: [Option<Vec<Vec3>>; 2],
+}
+
+/// What may not be exceeded.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Limits {
+    pub(super) max_relmse: Option<f64>,
+    pub(super) max_flip: Option<f64>,
+    pub(super) z_test: bool,
+}
+
+/// All figures of a pair.
+#[derive(Debug)]
+pub(super) struct Figures {
+    pub(super) differences: Differences,
+    pub(super) flip: f64,
+    pub(super) hdr_flip: f64,
+    pub(super) z_test: Option<ZTest>,
+    /// Where the largest difference is.
+    pub(super) max_at: [usize; 2],
+}
+
+/// A layer's R, G, B; `None` where it has none.
+fn colours(frame: &Frame, layer: &str) -> Option<Vec<Vec3>> {
+    let layer = frame.layers.iter().find(|l| l.name == layer)?;
+    let channel = |name: &str| layer.channels.iter().position(|c| *c == name);
+    let (r, g, b) = (channel("R")?, channel("G")?, channel("B")?);
+    Some(layer.pixels.chunks_exact(layer.channels.len()).map(|p| Vec3::new(p[r], p[g], p[b])).collect())
+}
+
+impl Pair {
+    pub(super) fn load(a: &Path, b: &Path) -> Result<Self> {
+        let frames = [read(a)?, read(b)?];
+        let [fa, fb] = &frames;
+        if (fa.width, fa.height) != (fb.width, fb.height) {
+            bail!(
+                "{} has {}×{} pixels, {} {}×{}; render both at one size (and crop)",
+                a.display(),
+                fa.width,
+                fa.height,
+                b.display(),
+                fb.width,
+                fb.height
+            );
+        }
+        if fa.offset != fb.offset {
+            bail!(
+                "{} begins at pixel {:?} of the full image, {} at {:?}; render both with one crop",
+                a.display(),
+                fa.offset,
+                b.display(),
+                fb.offset
+            );
+        }
+        let mut images = [a, b].into_iter().zip(&frames).map(|(path, frame)| match colours(frame, "") {
+            Some(pixels) => Ok(pixels),
+            None => {
+                bail!("{}: there are no channels R, G, B at the top; compare pictures that have them", path.display())
+            }
+        });
+        let images = match (images.next(), images.next()) {
+            (Some(a), Some(b)) => [a?, b?],
+            _ => bail!("two pictures are compared"),
+        };
+        Ok(Self {
+            names: [a.display().to_string(), b.display().to_string()],
+            width: fa.width as usize,
+            images,
+            variances: [colours(fa, "variance"), colours(fb, "variance")],
+        })
+    }
+
+    /// The figures, and the map of HDR-FLIP.
+    pub(super) fn compare(&self, with_z_test: bool) -> Result<(Figures, flip::Map)> {
+        let [a, b] = &self.images;
+        let shown = |picture: &[Vec3]| picture.iter().map(|c| Curve::Neutral.apply(*c)).collect::<Vec<_>>();
+        let map = flip::hdr(a, b, self.width);
+        let z_test = if with_z_test {
+            // A picture without the layer counts as free of noise: a reference by formula, say.
+            let none = vec![Vec3::ZERO; a.len()];
+            let [va, vb] = &self.variances;
+            if va.is_none() && vb.is_none() {
+                bail!(
+                    "neither {} nor {} holds variances; render with the layer `variance`",
+                    self.names[0],
+                    self.names[1]
+                );
+            }
+            Some(z_test(a, va.as_ref().unwrap_or(&none), b, vb.as_ref().unwrap_or(&none), 0.01))
+        } else {
+            None
+        };
+        let differences = differences(a, b);
+        let figures = Figures {
+            differences,
+            flip: flip::mean(&flip::ldr(&shown(a), &shown(b), self.width)),
+            hdr_flip: flip::mean(&map),
+            z_test,
+            max_at: [differences.max_at % self.width, differences.max_at / self.width],
+        };
+        Ok((figures, map))
+    }
+}
+
+impl Figures {
+    /// Which limits are broken, in words. Pixels that are not finite break any limit.
+    pub(super) fn broken(&self, limits: &Limits) -> Vec<String> {
+        let mut list = Vec::new();
+        let mut check = |what: &str, value: f64, limit: Option<f64>| {
+            if let Some(limit) = limit
+                && !value.is_nan()
+                && value > limit
+            {
+                list.push(format!("{what} {value:.6} > {limit}"));
+            }
+        };
+        check("relMSE", self.differences.relmse, limits.max_relmse);
+        check("FLIP", self.flip, limits.max_flip);
+        if let Some(z) = self.z_test.filter(|z| !z.passes()) {
+            list.push(format!("Z-test: {} of {} values stand out", z.failing, z.tested));
+        }
+        let any = limits.max_relmse.is_some() || limits.max_flip.is_some() || limits.z_test;
+        if any && self.differences.skipped > 0 {
+            list.push(format!("{} pixels are not finite", self.differences.skipped));
+        }
+        list
+    }
+
+    /// Names and values, for the terminal and the page.
+    pub(super) fn rows(&self) -> Vec<(&'static str, String)> {
+        let d = &self.differences;
+        let mut rows = vec![
+            ("RMSE", format!("{:.6}", d.rmse)),
+            ("relMSE", format!("{:.6e}", d.relmse)),
+            ("PSNR", format!("{:.2} dB", d.psnr)),
+            ("FLIP", format!("{:.6}", self.flip)),
+            ("HDR-FLIP", format!("{:.6}", self.hdr_flip)),
+            ("mean ratio", format!("{:.6} ± {:.6}", d.ratio, d.ratio_error)),
+            ("max", format!("{:.6} at {}, {}", d.max, self.max_at[0], self.max_at[1])),
+        ];
+        if d.skipped > 0 {
+            rows.push(("not finite", format!("{} pixels, left out of all but FLIP", d.skipped)));
+        }
+        if let Some(z) = &self.z_test {
+            let share = z.share * 100.0;
+            rows.push((
+                "Z-test",
+                format!(
+                    "{} of {} fail ({share:.4} %; smallest p {:.2e}, RMS z {:.3})",
+                    z.failing, z.tested, z.smallest, z.spread
+                ),
+            ));
+        }
+        rows
+    }
+}
+
+impl fmt::Display for Figures {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.rows().iter().try_for_each(|(name, value)| writeln!(f, "{name:<11} {value}"))
+    }
+}
