@@ -1,5 +1,6 @@
 //! Log-log charts as SVG: one line a method, labelled where it ends, readable from the back of a room.
 
+use crate::markup::escape;
 use std::fmt::Write;
 
 /// Colours that stay apart for colour-blind eyes (after Okabe & Ito), in the order of the lines.
@@ -75,11 +76,6 @@ impl Axis {
         }
         ticks
     }
-}
-
-/// Text that may stand in SVG and HTML.
-pub(crate) fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 /// A number as an axis shows it: `0.001`, `20`, `5 M`.

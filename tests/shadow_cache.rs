@@ -93,7 +93,7 @@ fn summarise(pictures: &[Vec<Vec3>]) -> Pictures {
     let whole = wholes.iter().sum::<f64>() / count;
     let spread = wholes.iter().map(|w| (w - whole).powi(2)).sum::<f64>();
     let whole = (whole, (spread / (count * (count - 1.0))).sqrt());
-    Pictures { mean: means.iter().map(DVec3::as_vec3).collect(), variance, whole }
+    Pictures { mean: means.iter().map(|mean| mean.as_vec3()).collect(), variance, whole }
 }
 
 /// Pictures of one seed each by samplers that `prepare` has made and led astray.

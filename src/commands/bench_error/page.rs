@@ -3,7 +3,7 @@
 use super::picture::{self, Part};
 use super::report::Report;
 use super::study::Reached;
-use crate::plot::escape;
+use crate::markup::escape;
 use anyhow::Result;
 use glam::Vec3;
 use std::fmt::Write;

@@ -1,10 +1,9 @@
 //! Pictures inside the page: tone-mapped renders, signed differences, enlarged details, as PNG data URIs.
 
+use crate::markup::data_uri;
 use anyhow::Result;
 use domelight::output::tonemap::{Curve, srgb_byte};
 use glam::Vec3;
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder};
 
 /// A part of a picture: first column and row, columns and rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,22 +46,7 @@ fn uri(
     debug_assert!((x + columns <= width) && (y + rows) * width <= pixels.len());
     let bytes: Vec<u8> =
         (y..y + rows).flat_map(|j| (x..x + columns).map(move |i| j * width + i)).flat_map(color).collect();
-    let mut png = Vec::new();
-    PngEncoder::new(&mut png).write_image(&bytes, columns as u32, rows as u32, ExtendedColorType::Rgb8)?;
-    Ok(format!("data:image/png;base64,{}", base64(&png)))
-}
-
-fn base64(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for chunk in bytes.chunks(3) {
-        let word = chunk.iter().enumerate().fold(0u32, |word, (i, b)| word | u32::from(*b) << (16 - 8 * i));
-        for i in 0..4 {
-            let digit = DIGITS[(word >> (18 - 6 * i) & 63) as usize];
-            text.push(if i > chunk.len() { '=' } else { char::from(digit) });
-        }
-    }
-    text
+    data_uri(&bytes, columns)
 }
 
 /// The part of a `share` of the picture's width where all pictures together are farthest from the reference.
@@ -77,16 +61,4 @@ pub(super) fn detail(pictures: &[&[Vec3]], reference: &[Vec3], width: usize, sha
     let places = (0..=height - side).step_by(step).flat_map(|y| (0..=width - side).step_by(step).map(move |x| (x, y)));
     let best = places.map(|(x, y)| (total(x, y), x, y)).max_by(|a, b| a.0.total_cmp(&b.0));
     best.map_or(Part([0, 0, side, side]), |(_, x, y)| Part([x, y, side, side]))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn base64_as_its_rfc_writes_it() {
-        for (plain, text) in [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")] {
-            assert_eq!(base64(plain.as_bytes()), text);
-        }
-    }
 }

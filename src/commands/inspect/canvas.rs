@@ -1,15 +1,15 @@
 //! A picture of the sphere, lat-long as the dome's own file.
 
+use crate::ramp::encode;
 use domelight::dome::Dome;
 use domelight::dome::project::Grid;
 use domelight::error::Result;
 use domelight::output::tonemap::{Curve, srgb_byte};
 use domelight::output::write_atomically;
 use glam::{DVec3, Vec3};
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
+use std::io::Write;
 use std::path::Path;
 
 /// sRGB bytes on a grid.
@@ -48,12 +48,8 @@ impl Canvas {
     /// Writes a PNG.
     pub(super) fn save(&self, path: &Path) -> Result<()> {
         let bytes: Vec<u8> = self.pixels.iter().flatten().copied().collect();
-        let (width, height) = (self.width as u32, (self.pixels.len() / self.width) as u32);
-        write_atomically(path, |file| {
-            PngEncoder::new(file)
-                .write_image(&bytes, width, height, ExtendedColorType::Rgb8)
-                .map_err(std::io::Error::other)
-        })
+        let png = encode(&bytes, self.width).map_err(std::io::Error::other);
+        write_atomically(path, |file| file.write_all(&png?))
     }
 }
 
@@ -111,19 +107,4 @@ impl Arcs {
             }
         }
     }
-}
-
-/// The colour map "inferno" at t in [0, 1], by Matt Zucker's polynomial.
-pub(super) fn inferno(t: f64) -> [u8; 3] {
-    const C: [[f64; 3]; 7] = [
-        [0.000_218_94, 0.001_651, -0.019_480_9],
-        [0.106_513_42, 0.563_956_44, 3.932_712_39],
-        [11.602_493_08, -3.972_853_97, -15.942_394_11],
-        [-41.703_996_13, 17.436_398_88, 44.354_145_2],
-        [77.162_935_7, -33.402_358_94, -81.807_309_26],
-        [-71.319_428_24, 32.626_064_26, 73.209_519_86],
-        [25.131_126_22, -12.242_668_95, -23.070_325],
-    ];
-    let t = t.clamp(0.0, 1.0);
-    std::array::from_fn(|k| (C.iter().rev().fold(0.0, |sum, c| sum * t + c[k]).clamp(0.0, 1.0) * 255.0 + 0.5) as u8)
 }

@@ -1,6 +1,7 @@
 //! What there is to see of a sampler, as pictures.
 
-use super::canvas::{Arcs, Canvas, inferno};
+use super::canvas::{Arcs, Canvas};
+use crate::ramp;
 use domelight::bsdf::Bsdf;
 use domelight::dome::Dome;
 use domelight::dome::project::Grid;
@@ -50,7 +51,7 @@ fn point(normal: Vec3, seed: u32) -> Point {
 
 /// A density as a colour, black five decades below `most`.
 fn color(density: f64, most: f64) -> [u8; 3] {
-    inferno(1.0 + (density / most).log10() / DECADES)
+    ramp::colour((1.0 + (density / most).log10() / DECADES) as f32)
 }
 
 /// The density of directions for a normal, and its largest value.
@@ -101,11 +102,11 @@ pub(super) fn irradiance(triangles: &Preconvolution) -> Canvas {
     let (width, height) = (COLUMNS * (MAP + GAP) + GAP, ROWS * (MAP / 2 + GAP) + GAP);
     let mut sheet = Canvas { width, pixels: vec![[38, 38, 43]; width * height] };
     for (place, &g) in strongest.iter().take(COLUMNS * ROWS).enumerate() {
-        let (f, s) = (axis(g), groups.s[g]);
+        let (f, s, r) = (axis(g), groups.s[g], groups.r[g]);
         let own = groups.irradiance(g, f.normalize());
         let most = own.max_element().max(f32::MIN_POSITIVE);
         let map = Canvas::sphere(MAP, |n| {
-            let share = soft(f.dot(n), s) / f.length();
+            let share = soft(f.dot(n), s, r) / f.length();
             (own * (share / most)).to_array().map(|v| srgb_byte(v.max(0.0)))
         });
         let (left, top) = (GAP + place % COLUMNS * (MAP + GAP), GAP + place / COLUMNS * (MAP / 2 + GAP));
