@@ -132,7 +132,7 @@ fn pictures(args: &Args, dome: &Arc<Dome>, sampler: &dyn DomeSampler, normals: &
         args.save(&format!("importance-{i}.png"), &importance)?;
         args.save(&format!("drawn-{i}.png"), &maps::drawn(sampler, normal, most))?;
         println!(
-            "    for the normal {:.2},{:.2},{:.2}: largest density {most:.3e} sr⁻¹; five decades are shown",
+            "    for the normal {:.2},{:.2},{:.2}: brightest at {most:.3} sr⁻¹ and beyond, black a thousandth of it",
             normal.x, normal.y, normal.z
         );
     }

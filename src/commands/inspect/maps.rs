@@ -11,9 +11,10 @@ use domelight::sampler::preconvolution::{Preconvolution, soft};
 use domelight::sampler::tessellation::Tessellation;
 use domelight::sampler::{DomeSampler, Draws, Numbers, Point};
 use glam::Vec3;
+use std::f64::consts::PI;
 
-/// Decades from the largest density down to black.
-const DECADES: f64 = 5.0;
+/// Decades from full brightness down to black.
+const DECADES: f64 = 3.0;
 
 /// The triangles over the dome: leaves thin, groups bold.
 pub(super) fn triangles(dome: &Dome, leaves: &Tessellation, groups: &Tessellation) -> Canvas {
@@ -49,24 +50,31 @@ fn point(normal: Vec3, seed: u32) -> Point {
     }
 }
 
-/// A density as a colour, black five decades below `most`.
+/// A density as a colour, black three decades below `most`.
 fn color(density: f64, most: f64) -> [u8; 3] {
     ramp::colour((1.0 + (density / most).log10() / DECADES) as f32)
 }
 
-/// The density of directions for a normal, and its largest value.
+/// The density of directions for a normal, and what is shown at full brightness: a sun of a few texels would leave
+/// everything else in the dark, so it is four times what a hundredth of the sphere exceeds.
 pub(super) fn importance(sampler: &dyn DomeSampler, dome: &Dome, normal: Vec3) -> (Canvas, f64) {
     const WIDTH: usize = 1024;
     let mut draws = Draws::default();
     let point = point(normal, 0);
     sampler.draw(&point, 16, &mut draws);
     let density = |dir: Vec3| f64::from(sampler.pdf(&point, &draws, dir, dome.grid.texel(dir)));
-    // Over the dome's own texels: a sun between the picture's pixels counts.
-    let (width, height) = (dome.grid.width, dome.grid.height);
-    let most = (0..width * height)
-        .map(|i| density(dome.grid.direction(f64::from(i % width) + 0.5, f64::from(i / width) + 0.5)))
-        .fold(f64::MIN_POSITIVE, f64::max);
+    let mut sorted: Vec<f64> = (0..1u32 << 14).map(|i| density(fibonacci(i, 1 << 14))).collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let most = (4.0 * sorted[sorted.len() * 99 / 100]).max(f64::MIN_POSITIVE);
     (Canvas::sphere(WIDTH, |dir| color(density(dir), most)), most)
+}
+
+/// The `i`-th of `n` directions spread evenly over the sphere.
+fn fibonacci(i: u32, n: u32) -> Vec3 {
+    let y = 1.0 - (2.0 * f64::from(i) + 1.0) / f64::from(n);
+    let (sin, cos) = (f64::from(i) * PI * (3.0 - 5f64.sqrt())).sin_cos();
+    let ring = (1.0 - y * y).sqrt();
+    Vec3::new((ring * cos) as f32, y as f32, (ring * sin) as f32)
 }
 
 /// Where a million directions went, in the colours of the density they should follow.
