@@ -45,3 +45,12 @@ pub(crate) fn run() -> anyhow::Result<u8> {
         Command::Plugins(args) => commands::plugins::run(&args),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    /// Two options of one name or letter would be found out by the first user only.
+    #[test]
+    fn no_two_options_share_a_name() {
+        <super::Cli as clap::CommandFactory>::command().debug_assert();
+    }
+}

@@ -53,7 +53,7 @@ pub(crate) struct Args {
     repeat: u32,
     /// relMSE to be reached
     #[arg(long, value_name = "E,…", value_delimiter = ',', default_value = "0.01,0.001", help_heading = "Study")]
-    target: Vec<f64>,
+    to_error: Vec<f64>,
     /// An EXR to hold the renders against (default: one is made)
     #[arg(long, value_name = "FILE", help_heading = "Reference")]
     reference: Option<PathBuf>,

@@ -114,13 +114,13 @@ fn dot(report: &Report<'_>, sampler: &str) -> String {
 
 fn to_targets(out: &mut String, report: &Report<'_>, reached: &[Reached]) {
     *out += "<h2>CPU seconds to an error</h2><div class=\"card\"><table><tr><th>sampler</th>";
-    for target in &report.args.target {
+    for target in &report.args.to_error {
         let _ = write!(out, "<th>relMSE {target}</th><th>× the best</th>");
     }
     *out += "<th>CPU ns a shadow ray</th><th>relMSE · s at most rays</th></tr>";
     for sampler in &report.samplers {
         let _ = write!(out, "<tr><td>{}</td>", dot(report, sampler));
-        for target in &report.args.target {
+        for target in &report.args.to_error {
             let at = |r: &&Reached| r.target == *target;
             let best = reached.iter().filter(at).filter_map(|r| r.seconds).fold(f64::INFINITY, f64::min);
             match reached

@@ -63,7 +63,7 @@ impl<'a> Report<'a> {
     /// How long each sampler takes to each target.
     pub(super) fn reached(&self) -> Vec<Reached> {
         let of = |target: &f64| self.samplers.iter().map(|s| seconds_to(&self.rows, s, *target)).collect::<Vec<_>>();
-        self.args.target.iter().flat_map(of).collect()
+        self.args.to_error.iter().flat_map(of).collect()
     }
 
     pub(super) fn print_since(&self, last: usize) {
@@ -194,7 +194,7 @@ impl<'a> Report<'a> {
             x_label: x_label.to_owned(),
             y_label: "relMSE".to_owned(),
             lines: self.samplers.iter().enumerate().map(line).collect(),
-            levels: self.args.target.clone(),
+            levels: self.args.to_error.clone(),
             floor: Some(self.reference.noise.relmse),
         }
     }
