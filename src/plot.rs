@@ -89,7 +89,7 @@ fn tick(value: f64) -> String {
     if value < 0.99e-4 {
         return format!("{value:.0e}");
     }
-    let digits = (-value.log10() + 1e-9).ceil().max(0.0) as usize;
+    let digits = (-value.log10() - 1e-9).ceil().max(0.0) as usize;
     format!("{value:.digits$}{unit}")
 }
 
