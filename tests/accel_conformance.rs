@@ -14,7 +14,10 @@ fn specs() -> Vec<String> {
     if specs.iter().any(|s| s == "embree") {
         specs.extend(["embree:quality=high,robust=off", "embree:quality=low,compact=on"].map(str::to_owned));
     }
-    specs.extend(["bvh:isa=avx2", "bvh:isa=portable"].map(str::to_owned));
+    // Vector code that this processor lacks is an error, and nothing to test.
+    let empty = scene_of(Scene::default());
+    let kernels = ["bvh:isa=avx512", "bvh:isa=avx2", "bvh:isa=portable"];
+    specs.extend(kernels.iter().filter(|s| accel::build(s, &empty, 1).is_ok()).map(|s| (*s).to_owned()));
     specs
 }
 
@@ -196,7 +199,8 @@ fn empty_scenes_and_meshes_are_seen_through() {
         let accel = build(&spec, &hollow);
         let instance = hollow.instances.iter().position(|i| i.mesh == visible).unwrap() as u32;
         let hits = intersect(&*accel, &[Ray::new(Vec3::ZERO, Vec3::X)], Mask::All, Coherence::Coherent);
-        assert_eq!((hits[0].instance, hits[0].t), (instance, 1.0), "{spec}");
+        // Embree's last bit depends on the processor (seen under valgrind).
+        assert!(hits[0].instance == instance && (hits[0].t - 1.0).abs() < 1e-6, "{spec}: {:?}", hits[0]);
         // No rays: no answers, no fault.
         accel.intersect(&[], Mask::All, Coherence::Coherent, &mut []);
         accel.occluded(&[], Mask::All, &mut []);

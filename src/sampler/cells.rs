@@ -10,8 +10,8 @@ use glam::{DVec3, Vec3};
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-/// Images narrower than this are cut into finer cells.
-const LEAST_WIDTH: u32 = 512;
+/// Images narrower than this are cut into finer cells, each side of a texel into a power of two.
+const LEAST_WIDTH: u32 = 256;
 
 /// A dome's cells.
 #[derive(Debug)]
@@ -61,7 +61,8 @@ struct Row {
 impl DomeCells {
     /// The cells of a dome.
     pub fn new(dome: Arc<Dome>) -> Self {
-        let parts = LEAST_WIDTH.div_ceil(dome.grid.width).max((LEAST_WIDTH / 2).div_ceil(dome.grid.height)).max(1);
+        let parts = LEAST_WIDTH.div_ceil(dome.grid.width).max((LEAST_WIDTH / 2).div_ceil(dome.grid.height));
+        let parts = parts.next_power_of_two();
         let (width, height) = (dome.grid.width * parts, dome.grid.height * parts);
         let half_azimuth = PI / f64::from(width);
         let columns = (0..width)
@@ -174,7 +175,7 @@ impl DomeCells {
         let ([c, s], row) = (self.draw_columns[(place & 0xffff) as usize], self.draw_rows[(place >> 16) as usize]);
         let t = row.t + y * row.dt;
         let ring = (t * (2.0 - t)).max(0.0).sqrt();
-        // A small turn from the column's middle: the series' next terms are below 1e-10 for 512 columns and more.
+        // A small turn from the column's middle: the series' next terms are below 1e-9 for 256 columns and more.
         let d = (2.0 * x - 1.0) * self.half_azimuth;
         let (sin, cos) = (d - d * d * d * (1.0 / 6.0), 1.0 - 0.5 * d * d);
         let dir = Vec3::new(ring * (c * cos - s * sin), row.sign * (1.0 - t), ring * (s * cos + c * sin));

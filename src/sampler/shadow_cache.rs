@@ -23,6 +23,9 @@ const MOST: u16 = 128;
 /// The weight of the prior, in rays.
 const PRIOR: f32 = 2.0;
 
+/// Records this many steps of distance apart still speak of the same surface.
+const NEAR: u32 = 2;
+
 /// The target of a ray that nothing is learned from.
 pub const NO_TARGET: u32 = u32::MAX;
 
@@ -99,17 +102,22 @@ impl ShadowCache {
         clamp(y, self.blocks[1]) * self.blocks[0] as usize + clamp(x, self.blocks[0])
     }
 
-    /// The frozen record that a point reads. `jitter` (two numbers in [−½, ½)) moves the look-up by up to half a block,
-    /// so that the edges of blocks turn into noise.
+    /// The frozen record that a point reads: of its kind of surface, at the distance nearest to its own. `jitter` (two
+    /// numbers in [−½, ½)) moves the look-up by up to half a block, so that the edges of blocks turn into noise.
     pub fn find(&self, pixel: [u32; 2], key: u32, jitter: [f32; 2]) -> Option<Record<'_>> {
         let side = self.block as f32;
         let [x, y] = [0, 1].map(|i| pixel[i] as f32 + 0.5);
         let moved = self.block_of((x + jitter[0] * side).max(0.0), (y + jitter[1] * side).max(0.0));
-        let own = self.block_of(x, y);
-        let slot = [moved, own]
-            .into_iter()
-            .find_map(|block| (block * SLOTS..(block + 1) * SLOTS).find(|&slot| self.frozen[slot] == key));
+        let slot = self.nearest(moved, key).or_else(|| self.nearest(self.block_of(x, y), key));
         slot.map(|slot| Record { visibility: &self.visibility[slot * self.groups..(slot + 1) * self.groups] })
+    }
+
+    fn nearest(&self, block: usize, key: u32) -> Option<usize> {
+        let slots = block * SLOTS..(block + 1) * SLOTS;
+        let alike = slots.filter(|&slot| self.frozen[slot] & 7 == key & 7 && self.frozen[slot] != 0);
+        alike.min_by_key(|&slot| (self.frozen[slot] >> 3).abs_diff(key >> 3)).filter(|&slot| {
+            (self.frozen[slot] >> 3).abs_diff(key >> 3) <= NEAR
+        })
     }
 
     /// Where the rays of a point are counted: the index of its first group, [`NO_TARGET`] when its block is full.

@@ -110,9 +110,18 @@ impl Cell {
     fn area(&self) -> f64 {
         (self.z[0] - self.z[1]) * (self.phi[1] - self.phi[0])
     }
-    fn part(&self, i: usize, rows: usize, j: usize, columns: usize) -> Self {
-        let cut = |[a, b]: [f64; 2], k: usize, n: usize| [k, k + 1].map(|k| a + (b - a) * k as f64 / n as f64);
-        Self { z: cut(self.z, i, rows), phi: cut(self.phi, j, columns) }
+    /// Part (i, j) of rows × columns equal in angle.
+    fn part(&self, i: u32, rows: u32, j: u32, columns: u32) -> Self {
+        let cut = |[a, b]: [f64; 2], k: u32, n: u32| [k, k + 1].map(|k| a + (b - a) * f64::from(k) / f64::from(n));
+        let polar = self.z.map(|z| z.clamp(-1.0, 1.0).acos());
+        Self { z: cut(polar, i, rows).map(f64::cos), phi: cut(self.phi, j, columns) }
+    }
+    /// The middle in both angles.
+    fn middle(&self) -> DVec3 {
+        let polar = self.z.map(|z| z.clamp(-1.0, 1.0).acos());
+        let ((ring, z), (sin, cos)) =
+            (f64::midpoint(polar[0], polar[1]).sin_cos(), f64::midpoint(self.phi[0], self.phi[1]).sin_cos());
+        DVec3::new(ring * cos, z, ring * sin)
     }
     /// Whether the horizon of `n` may pass through.
     fn crosses(&self, n: DVec3) -> bool {
@@ -169,9 +178,11 @@ pub fn shares(sampler: &dyn DomeSampler, grid: &Grid, point: &Point, draws: &Dra
 /// what is plainly wrong.
 pub fn chi_square(sampler: &dyn DomeSampler, dome: &Dome, n: Vec3, seed: u32, total: u32) -> Result<f64, String> {
     const BATCH: u32 = 64;
+    const FINE: u32 = 8;
     let grid = &dome.grid;
     // About 512 cells, whole fractions of texels.
-    let (columns, rows) = (32u32.div_ceil(grid.width), 16u32.div_ceil(grid.height));
+    let parts = |wanted: u32, there: u32| wanted.div_ceil(there).next_power_of_two();
+    let (columns, rows) = (parts(32, grid.width), parts(16, grid.height));
     let cells = (grid.width * columns * grid.height * rows) as usize;
     let mut observed = vec![0u32; cells];
     let mut drawn = 0u32;
@@ -197,7 +208,8 @@ pub fn chi_square(sampler: &dyn DomeSampler, dome: &Dome, n: Vec3, seed: u32, to
             // The texel first, then the part of it: a round trip in one go could leave the texel.
             let texel = near[0];
             let cell = Cell::of(grid, texel);
-            let down = (cell.z[0] - f64::from(dir.y)) / (cell.z[0] - cell.z[1]);
+            let polar = cell.z.map(|z| z.clamp(-1.0, 1.0).acos());
+            let down = (f64::from(dir.y).clamp(-1.0, 1.0).acos() - polar[0]) / (polar[1] - polar[0]);
             let turn = (f64::from(dir.z).atan2(f64::from(dir.x)) - cell.phi[0]).rem_euclid(TAU);
             // Just before the cell's beginning counts as its beginning.
             let turn = if turn > TAU - 1e-4 { 0.0 } else { turn };
@@ -215,17 +227,14 @@ pub fn chi_square(sampler: &dyn DomeSampler, dome: &Dome, n: Vec3, seed: u32, to
         let whole = Cell::of(grid, texel);
         for i in 0..rows {
             for j in 0..columns {
-                let cell = whole.part(i as usize, rows as usize, j as usize, columns as usize);
-                // Densities step at the sampler's own cells, of which a cell here holds hundreds.
-                let k = if cell.crosses(n.as_dvec3()) { 32 } else { 16 };
+                let cell = whole.part(i, rows, j, columns);
+                // Densities step at a sampler's own cells, equal parts of texels in both angles: so are these.
                 let mut sum = 0.0;
-                for s in 0..k * k {
-                    let at = |x: usize| (x as f64 + 0.5) / k as f64;
-                    let dir = cell.at(at(s / k), at(s % k)).as_vec3();
-                    sum += f64::from(sampler.pdf(&point, &draws, dir, texel));
+                for s in 0..FINE * FINE {
+                    let part = cell.part(s / FINE, FINE, s % FINE, FINE);
+                    sum += f64::from(sampler.pdf(&point, &draws, part.middle().as_vec3(), texel)) * part.area();
                 }
-                let mean = sum / (k * k) as f64;
-                expected[((texel * rows + i) * columns + j) as usize] = mean * cell.area() * f64::from(drawn);
+                expected[((texel * rows + i) * columns + j) as usize] = sum * f64::from(drawn);
             }
         }
     }

@@ -1,4 +1,4 @@
-//! The kernel for AVX2 and FMA: eight boxes in a register, four triangles in half of one.
+//! The kernel for AVX2 and FMA: eight boxes or eight triangles in a register.
 
 #![allow(unsafe_code, reason = "a SIMD kernel; `portable` is its twin")]
 
@@ -25,39 +25,58 @@ pub(super) fn questions() -> Option<Questions> {
 /// The processor has AVX2 and FMA.
 #[target_feature(enable = "avx2,fma,bmi1,lzcnt,popcnt")]
 unsafe fn closest(world: &World, rays: &[Ray], mask: Mask, hits: &mut [Hit]) {
-    super::closest::<Avx2>(world, rays, mask, hits);
+    World::closest::<Avx2>(world, rays, mask, hits);
 }
 
 /// # Safety
 /// The processor has AVX2 and FMA.
 #[target_feature(enable = "avx2,fma,bmi1,lzcnt,popcnt")]
 unsafe fn any(world: &World, rays: &[Ray], mask: Mask, occluded: &mut [u8]) {
-    super::any::<Avx2>(world, rays, mask, occluded);
+    World::any::<Avx2>(world, rays, mask, occluded);
 }
 
-/// A ray in registers.
-#[derive(Clone, Copy)]
-pub(super) struct Loaded {
-    inverse: [__m256; 3],
-    enter: [__m256; 3],
-    leave: [__m256; 3],
-    tnear: __m256,
-    tfar: __m256,
+// No closures below: unlike these functions they are not always inlined, and outside of a function with the target
+// features an intrinsic is a call.
+
+/// The same number in every lane.
+#[inline(always)]
+fn all(x: f32) -> __m256 {
+    // SAFETY: Inlined only where AVX is enabled.
+    unsafe { _mm256_set1_ps(x) }
+}
+
+/// (plane − origin) / direction for a row of planes.
+#[inline(always)]
+fn slab(node: &Node, row: usize, inverse: f32, shift: f32) -> __m256 {
+    // SAFETY: Inlined only where AVX2 and FMA are enabled; a row is eight floats, aligned to 32 bytes as `Node` is to 64.
+    unsafe { _mm256_fmsub_ps(_mm256_load_ps(node.planes[row].as_ptr()), all(inverse), all(shift)) }
 }
 
 /// Where the boxes are entered and left.
 #[inline(always)]
-pub(super) fn slabs(loaded: &Loaded, ray: &Prepared, node: &Node) -> (__m256, __m256) {
-    // SAFETY: Inlined only where AVX2 and FMA are enabled; the loads are of whole rows of eight floats, each row
-    // aligned to 32 bytes as `Node` is to 64.
+pub(super) fn slabs(ray: &Prepared, node: &Node) -> (__m256, __m256) {
+    let ([x, y, z], [inverse_x, inverse_y, inverse_z]) = (ray.near, ray.inverse);
+    let enter_x = slab(node, x, inverse_x, ray.enter[0]);
+    let enter_y = slab(node, y, inverse_y, ray.enter[1]);
+    let enter_z = slab(node, z, inverse_z, ray.enter[2]);
+    let leave_x = slab(node, 3 - x, inverse_x, ray.leave[0]);
+    let leave_y = slab(node, 5 - y, inverse_y, ray.leave[1]);
+    let leave_z = slab(node, 7 - z, inverse_z, ray.leave[2]);
+    // SAFETY: Inlined only where AVX is enabled.
     unsafe {
-        let near = |axis: usize| _mm256_load_ps(node.planes[ray.near[axis]].as_ptr());
-        let far = |axis: usize| _mm256_load_ps(node.planes[2 * axis + 3 - ray.near[axis]].as_ptr());
-        let enter = |axis| _mm256_fmsub_ps(near(axis), loaded.inverse[axis], loaded.enter[axis]);
-        let leave = |axis| _mm256_fmsub_ps(far(axis), loaded.inverse[axis], loaded.leave[axis]);
-        let enter = _mm256_max_ps(_mm256_max_ps(enter(0), enter(1)), _mm256_max_ps(enter(2), loaded.tnear));
-        let leave = _mm256_min_ps(_mm256_min_ps(leave(0), leave(1)), _mm256_min_ps(leave(2), loaded.tfar));
-        (enter, _mm256_mul_ps(leave, _mm256_set1_ps(LATER)))
+        let enter = _mm256_max_ps(_mm256_max_ps(enter_x, enter_y), _mm256_max_ps(enter_z, all(ray.tnear)));
+        let leave = _mm256_min_ps(_mm256_min_ps(leave_x, leave_y), _mm256_min_ps(leave_z, all(ray.tfar)));
+        (enter, _mm256_mul_ps(leave, all(LATER)))
+    }
+}
+
+/// Asks for every cache line of `what`.
+#[inline(always)]
+pub(super) fn prefetch<T>(what: &T) {
+    let start = std::ptr::from_ref(what).cast::<i8>();
+    for line in 0..size_of::<T>().div_ceil(64) {
+        // SAFETY: Within `what`; a prefetch reads nothing.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(start.add(64 * line)) };
     }
 }
 
@@ -80,37 +99,9 @@ const PLACES: [u64; 256] = {
 };
 
 impl Kernel for Avx2 {
-    type Ray = Loaded;
-
     #[inline(always)]
-    fn load(ray: &Prepared) -> Loaded {
-        // SAFETY: Inlined only where AVX is enabled.
-        unsafe {
-            Loaded {
-                inverse: ray.inverse.map(|x| _mm256_set1_ps(x)),
-                enter: ray.enter.map(|x| _mm256_set1_ps(x)),
-                leave: ray.leave.map(|x| _mm256_set1_ps(x)),
-                tnear: _mm256_set1_ps(ray.tnear),
-                tfar: _mm256_set1_ps(ray.tfar),
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn shorten(loaded: &mut Loaded, tfar: f32) {
-        // SAFETY: Inlined only where AVX is enabled.
-        loaded.tfar = unsafe { _mm256_set1_ps(tfar) };
-    }
-
-    #[inline(always)]
-    fn boxes(
-        loaded: &Loaded,
-        ray: &Prepared,
-        node: &Node,
-        children: &mut [u32; WIDTH],
-        at: &mut [f32; WIDTH],
-    ) -> usize {
-        let (enter, leave) = slabs(loaded, ray, node);
+    fn boxes(ray: &Prepared, node: &Node, children: &mut [u32; WIDTH], at: &mut [f32; WIDTH]) -> usize {
+        let (enter, leave) = slabs(ray, node);
         // SAFETY: Inlined only where AVX2 is enabled; loads and stores are of whole rows of eight.
         unsafe {
             let order = _mm256_load_si256(node.order.as_ptr().cast());
@@ -130,6 +121,11 @@ impl Kernel for Avx2 {
     }
 
     #[inline(always)]
+    fn prefetch<T>(what: &T) {
+        prefetch(what);
+    }
+
+    #[inline(always)]
     fn any(ray: &Prepared, block: &Block) -> bool {
         edges(ray, block).mask != 0
     }
@@ -140,17 +136,17 @@ impl Kernel for Avx2 {
         if mask == 0 {
             return None;
         }
-        let (mut ts, mut us, mut vs) = ([0.0; 4], [0.0; 4], [0.0; 4]);
-        // SAFETY: Stores of four floats into arrays of four.
+        let (mut ts, mut us, mut vs) = ([0.0; 8], [0.0; 8], [0.0; 8]);
+        // SAFETY: Stores of eight floats into arrays of eight.
         unsafe {
-            _mm_storeu_ps(ts.as_mut_ptr(), t);
-            _mm_storeu_ps(us.as_mut_ptr(), u);
-            _mm_storeu_ps(vs.as_mut_ptr(), v);
+            _mm256_storeu_ps(ts.as_mut_ptr(), t);
+            _mm256_storeu_ps(us.as_mut_ptr(), u);
+            _mm256_storeu_ps(vs.as_mut_ptr(), v);
         }
-        let mut lane = mask.trailing_zeros() as usize & 3;
+        let mut lane = mask.trailing_zeros() as usize & 7;
         let mut rest = mask & (mask - 1);
         while rest != 0 {
-            let other = rest.trailing_zeros() as usize & 3;
+            let other = rest.trailing_zeros() as usize & 7;
             if ts[other] < ts[lane] {
                 lane = other;
             }
@@ -160,50 +156,52 @@ impl Kernel for Avx2 {
     }
 }
 
-/// Which of four triangles are met, where, and with which weights.
+/// Which of eight triangles are met, where, and with which weights.
 struct Edges {
     mask: u32,
-    t: __m128,
-    u: __m128,
-    v: __m128,
+    t: __m256,
+    u: __m256,
+    v: __m256,
 }
 
-/// As `portable::meets`, four at once.
+/// A corner of each triangle, sheared.
+#[inline(always)]
+fn corner(ray: &Prepared, block: &Block, vertex: usize) -> [__m256; 3] {
+    let ([kx, ky, kz], rows) = (ray.axes, &block.corners[vertex]);
+    // SAFETY: Inlined only where AVX2 and FMA are enabled; a row is eight floats, aligned to 32 bytes as `Block` is.
+    unsafe {
+        let x = _mm256_sub_ps(_mm256_load_ps(rows[kx].as_ptr()), all(ray.origin[0]));
+        let y = _mm256_sub_ps(_mm256_load_ps(rows[ky].as_ptr()), all(ray.origin[1]));
+        let z = _mm256_sub_ps(_mm256_load_ps(rows[kz].as_ptr()), all(ray.origin[2]));
+        [_mm256_fnmadd_ps(all(ray.shear[0]), z, x), _mm256_fnmadd_ps(all(ray.shear[1]), z, y), z]
+    }
+}
+
+/// As `portable::meets`, eight at once.
 #[inline(always)]
 fn edges(ray: &Prepared, block: &Block) -> Edges {
-    // SAFETY: Inlined only where AVX2 and FMA are enabled; the loads are of whole rows of four floats, each row aligned
-    // to 16 bytes as `Block` is.
+    // SAFETY: Inlined only where AVX2 and FMA are enabled.
     unsafe {
-        let [kx, ky, kz] = ray.axes;
-        let [ox, oy, oz] = ray.origin.map(|x| _mm_set1_ps(x));
-        let [sx, sy, sz] = ray.shear.map(|x| _mm_set1_ps(x));
-        let corner = |vertex: usize| {
-            let axes = &block.corners[vertex];
-            let z = _mm_sub_ps(_mm_load_ps(axes[kz].as_ptr()), oz);
-            let x = _mm_fnmadd_ps(sx, z, _mm_sub_ps(_mm_load_ps(axes[kx].as_ptr()), ox));
-            let y = _mm_fnmadd_ps(sy, z, _mm_sub_ps(_mm_load_ps(axes[ky].as_ptr()), oy));
-            [x, y, z]
-        };
-        let (a, b, c) = (corner(0), corner(1), corner(2));
+        let [a, b, c] = [corner(ray, block, 0), corner(ray, block, 1), corner(ray, block, 2)];
         // Not fused: the two triangles at an edge must get the same number.
-        let u = _mm_sub_ps(_mm_mul_ps(c[0], b[1]), _mm_mul_ps(c[1], b[0]));
-        let v = _mm_sub_ps(_mm_mul_ps(a[0], c[1]), _mm_mul_ps(a[1], c[0]));
-        let w = _mm_sub_ps(_mm_mul_ps(b[0], a[1]), _mm_mul_ps(b[1], a[0]));
-        let det = _mm_add_ps(_mm_add_ps(u, v), w);
-        let zero = _mm_setzero_ps();
-        let least = _mm_min_ps(_mm_min_ps(u, v), w);
-        let most = _mm_max_ps(_mm_max_ps(u, v), w);
-        let inside = _mm_or_ps(_mm_cmpge_ps(least, zero), _mm_cmple_ps(most, zero));
-        let inside = _mm_and_ps(inside, _mm_cmpneq_ps(det, zero));
-        if _mm_movemask_ps(inside) == 0 {
+        let u = _mm256_sub_ps(_mm256_mul_ps(c[0], b[1]), _mm256_mul_ps(c[1], b[0]));
+        let v = _mm256_sub_ps(_mm256_mul_ps(a[0], c[1]), _mm256_mul_ps(a[1], c[0]));
+        let w = _mm256_sub_ps(_mm256_mul_ps(b[0], a[1]), _mm256_mul_ps(b[1], a[0]));
+        let det = _mm256_add_ps(_mm256_add_ps(u, v), w);
+        let zero = _mm256_setzero_ps();
+        let least = _mm256_min_ps(_mm256_min_ps(u, v), w);
+        let most = _mm256_max_ps(_mm256_max_ps(u, v), w);
+        let inside = _mm256_or_ps(_mm256_cmp_ps::<_CMP_GE_OQ>(least, zero), _mm256_cmp_ps::<_CMP_LE_OQ>(most, zero));
+        let inside = _mm256_and_ps(inside, _mm256_cmp_ps::<_CMP_NEQ_OQ>(det, zero));
+        if _mm256_movemask_ps(inside) == 0 {
             return Edges { mask: 0, t: zero, u: zero, v: zero };
         }
-        let scale = _mm_div_ps(_mm_set1_ps(1.0), det);
-        let (u, v, w) = (_mm_mul_ps(u, scale), _mm_mul_ps(v, scale), _mm_mul_ps(w, scale));
-        let t = _mm_fmadd_ps(u, a[2], _mm_fmadd_ps(v, b[2], _mm_mul_ps(w, c[2])));
-        let t = _mm_mul_ps(t, sz);
-        let beyond = _mm_cmpgt_ps(t, _mm_set1_ps(ray.tnear));
-        let within = _mm_and_ps(beyond, _mm_cmplt_ps(t, _mm_set1_ps(ray.tfar)));
-        Edges { mask: _mm_movemask_ps(_mm_and_ps(inside, within)) as u32, t, u: v, v: w }
+        let scale = _mm256_div_ps(all(1.0), det);
+        let (u, v, w) = (_mm256_mul_ps(u, scale), _mm256_mul_ps(v, scale), _mm256_mul_ps(w, scale));
+        let t = _mm256_fmadd_ps(u, a[2], _mm256_fmadd_ps(v, b[2], _mm256_mul_ps(w, c[2])));
+        let t = _mm256_mul_ps(t, all(ray.shear[2]));
+        let beyond = _mm256_cmp_ps::<_CMP_GT_OQ>(t, all(ray.tnear));
+        let within = _mm256_and_ps(beyond, _mm256_cmp_ps::<_CMP_LT_OQ>(t, all(ray.tfar)));
+        Edges { mask: _mm256_movemask_ps(_mm256_and_ps(inside, within)) as u32, t, u: v, v: w }
     }
 }

@@ -3,7 +3,7 @@
 
 #![allow(unsafe_code, reason = "a SIMD kernel; `portable` is its twin")]
 
-use super::avx2::{Avx2, Loaded, slabs};
+use super::avx2::{Avx2, slabs};
 use super::node::{Block, Node, WIDTH};
 use super::traverse::{Kernel, Met, Prepared};
 use super::{Questions, World};
@@ -31,38 +31,20 @@ pub(super) fn questions() -> Option<Questions> {
 /// The processor has AVX-512 F and VL, AVX2 and FMA.
 #[target_feature(enable = "avx512f,avx512vl,avx2,fma,bmi1,lzcnt,popcnt")]
 unsafe fn closest(world: &World, rays: &[Ray], mask: Mask, hits: &mut [Hit]) {
-    super::closest::<Avx512>(world, rays, mask, hits);
+    World::closest::<Avx512>(world, rays, mask, hits);
 }
 
 /// # Safety
 /// The processor has AVX-512 F and VL, AVX2 and FMA.
 #[target_feature(enable = "avx512f,avx512vl,avx2,fma,bmi1,lzcnt,popcnt")]
 unsafe fn any(world: &World, rays: &[Ray], mask: Mask, occluded: &mut [u8]) {
-    super::any::<Avx512>(world, rays, mask, occluded);
+    World::any::<Avx512>(world, rays, mask, occluded);
 }
 
 impl Kernel for Avx512 {
-    type Ray = Loaded;
-
     #[inline(always)]
-    fn load(ray: &Prepared) -> Loaded {
-        Avx2::load(ray)
-    }
-
-    #[inline(always)]
-    fn shorten(loaded: &mut Loaded, tfar: f32) {
-        Avx2::shorten(loaded, tfar);
-    }
-
-    #[inline(always)]
-    fn boxes(
-        loaded: &Loaded,
-        ray: &Prepared,
-        node: &Node,
-        children: &mut [u32; WIDTH],
-        at: &mut [f32; WIDTH],
-    ) -> usize {
-        let (enter, leave) = slabs(loaded, ray, node);
+    fn boxes(ray: &Prepared, node: &Node, children: &mut [u32; WIDTH], at: &mut [f32; WIDTH]) -> usize {
+        let (enter, leave) = slabs(ray, node);
         // SAFETY: Inlined only where AVX-512 is enabled; loads and stores are of whole rows of eight.
         unsafe {
             let order = _mm256_load_si256(node.order.as_ptr().cast());
@@ -77,6 +59,11 @@ impl Kernel for Avx512 {
             _mm256_storeu_ps(at.as_mut_ptr(), _mm256_maskz_compress_ps(mask, enter));
             mask.count_ones() as usize
         }
+    }
+
+    #[inline(always)]
+    fn prefetch<T>(what: &T) {
+        Avx2::prefetch(what);
     }
 
     #[inline(always)]

@@ -2,9 +2,10 @@
 //!
 //! A node begins as one range of primitives; the child of the largest surface is split until there are eight (Wald,
 //! Benthin & Boulos 2008). Ranges below [`GRAIN`] are one task that fills an arena of its own; the arenas are copied
-//! together at the end, in parallel.
+//! together at the end, in parallel, all trees of a scene into one [`Forest`].
 
-use super::node::{Aabb, BLOCK, Block, INSTANCE, Ids, LEAF, Node, Tree, WIDTH};
+use super::node::{Aabb, BLOCK, Block, Forest, INSTANCE, Ids, LEAF, Node, Root, WIDTH};
+use super::pages::Pages;
 use super::split::{Info, split};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -17,7 +18,7 @@ const DEEP: usize = 32;
 pub(super) const MAX_DEPTH: usize = DEEP + 11;
 
 /// A primitive: its box and what it is.
-#[derive(Debug, Clone, Copy, bytemuck::Zeroable)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub(super) struct Primitive {
     pub(super) low: Vec3,
@@ -41,15 +42,27 @@ pub(super) trait Source: Sync {
     fn triangle(&self, primitive: &Primitive) -> ([Vec3; 3], u32);
 }
 
-/// Builds on the current rayon pool; returns the tree and the most bytes it took.
-pub(super) fn build(source: &impl Source, primitives: &mut [Primitive]) -> (Tree, u64) {
+/// A tree that has not found its place in the forest yet.
+pub(super) struct Tree {
+    built: Built,
+    /// The box of everything in it.
+    pub(super) bounds: Aabb,
+}
+
+/// Builds on the current rayon pool; nothing for no primitives.
+pub(super) fn build(source: &impl Source, primitives: &mut [Primitive]) -> Option<Tree> {
     if primitives.is_empty() {
-        return (Tree::default(), 0);
+        return None;
     }
     let info = Info::of(primitives);
-    let (mut tree, peak) = join(node(source, primitives, info, 0));
-    tree.extent = info.bounds.low.abs().max(info.bounds.high.abs()).max_element();
-    (tree, peak)
+    Some(Tree { built: node(source, primitives, info, 0), bounds: info.bounds })
+}
+
+impl Tree {
+    /// Bytes held.
+    pub(super) fn bytes(&self) -> u64 {
+        self.built.bytes()
+    }
 }
 
 /// A subtree: one arena, or a node over subtrees.
@@ -58,11 +71,28 @@ enum Built {
     Large { node: Box<Node>, children: Vec<Built> },
 }
 
+impl Built {
+    fn bytes(&self) -> u64 {
+        match self {
+            Self::Small(arena) => arena.bytes(),
+            Self::Large { children, .. } => children.iter().map(Self::bytes).sum(),
+        }
+    }
+}
+
 /// A subtree with references of its own; the root is the reference that leads into it.
 #[derive(Default)]
 struct Arena {
-    tree: Tree,
+    nodes: Vec<Node>,
+    blocks: Vec<Block>,
+    ids: Vec<Ids>,
     root: u32,
+}
+
+impl Arena {
+    fn bytes(&self) -> u64 {
+        (size_of_val(&*self.nodes) + size_of_val(&*self.blocks) + size_of_val(&*self.ids)) as u64
+    }
 }
 
 fn is_leaf(primitives: &[Primitive]) -> bool {
@@ -95,13 +125,13 @@ fn children(primitives: &mut [Primitive], info: Info, depth: usize) -> Vec<(&mut
 fn node(source: &impl Source, primitives: &mut [Primitive], info: Info, depth: usize) -> Built {
     if primitives.len() <= GRAIN {
         let mut arena = Arena::default();
-        arena.tree.nodes.reserve(primitives.len() / 12 + 1);
-        arena.tree.blocks.reserve(primitives.len() / 3 + 1);
-        arena.tree.ids.reserve(primitives.len() / 3 + 1);
+        arena.nodes.reserve(primitives.len() / 12 + 1);
+        arena.blocks.reserve(primitives.len() / 3 + 1);
+        arena.ids.reserve(primitives.len() / 3 + 1);
         arena.root = if depth > 0 && is_leaf(primitives) {
-            leaf(source, primitives, &mut arena.tree)
+            leaf(source, primitives, &mut arena)
         } else {
-            small_node(source, primitives, info, depth, &mut arena.tree)
+            small_node(source, primitives, info, depth, &mut arena)
         };
         return Built::Small(arena);
     }
@@ -111,23 +141,23 @@ fn node(source: &impl Source, primitives: &mut [Primitive], info: Info, depth: u
     Built::Large { node: Box::new(Node::new(&boxes)), children }
 }
 
-fn small_node(source: &impl Source, primitives: &mut [Primitive], info: Info, depth: usize, tree: &mut Tree) -> u32 {
+fn small_node(source: &impl Source, primitives: &mut [Primitive], info: Info, depth: usize, arena: &mut Arena) -> u32 {
     let children = children(primitives, info, depth);
     let mut boxes = [Aabb::EMPTY; WIDTH];
     for (aabb, (_, info)) in boxes.iter_mut().zip(&children) {
         *aabb = info.bounds;
     }
-    let index = tree.nodes.len();
-    tree.nodes.push(Node::new(&boxes[..children.len()]));
+    let index = arena.nodes.len();
+    arena.nodes.push(Node::new(&boxes[..children.len()]));
     for (lane, (range, info)) in children.into_iter().enumerate() {
         let reference =
-            if is_leaf(range) { leaf(source, range, tree) } else { small_node(source, range, info, depth + 1, tree) };
-        tree.nodes[index].children[lane] = reference;
+            if is_leaf(range) { leaf(source, range, arena) } else { small_node(source, range, info, depth + 1, arena) };
+        arena.nodes[index].children[lane] = reference;
     }
     index as u32
 }
 
-fn leaf(source: &impl Source, primitives: &[Primitive], tree: &mut Tree) -> u32 {
+fn leaf(source: &impl Source, primitives: &[Primitive], arena: &mut Arena) -> u32 {
     if primitives[0].triangle == Primitive::IS_INSTANCE {
         return LEAF | INSTANCE | primitives[0].item;
     }
@@ -145,40 +175,38 @@ fn leaf(source: &impl Source, primitives: &[Primitive], tree: &mut Tree) -> u32 
         }
         (ids.instance[lane], ids.triangle[lane]) = (instance, primitive.triangle);
     }
-    tree.blocks.push(block);
-    tree.ids.push(ids);
-    LEAF | (tree.blocks.len() - 1) as u32
+    arena.blocks.push(block);
+    arena.ids.push(ids);
+    LEAF | (arena.blocks.len() - 1) as u32
 }
 
-/// Copies the arenas into one tree, the nodes above them first.
-fn join(built: Built) -> (Tree, u64) {
-    if let Built::Small(arena) = built {
-        let bytes = arena.tree.bytes();
-        return (arena.tree, bytes);
-    }
+/// Copies trees into one forest, the nodes above the arenas first, and tells where each tree begins.
+pub(super) fn join(trees: Vec<Tree>) -> (Forest, Vec<Root>) {
     let (mut top, mut arenas) = (Vec::new(), Vec::new());
-    flatten(built, &mut top, &mut arenas);
-    let count = |of: fn(&Tree) -> usize| arenas.iter().map(|a| of(&a.tree)).sum::<usize>();
-    let mut tree = Tree {
-        nodes: bytemuck::zeroed_vec(top.len() + count(|t| t.nodes.len())),
-        blocks: bytemuck::zeroed_vec(count(|t| t.blocks.len())),
-        ids: bytemuck::zeroed_vec(count(|t| t.ids.len())),
-        extent: 0.0,
+    let mut roots = Vec::with_capacity(trees.len());
+    for Tree { built, bounds } in trees {
+        let extent = bounds.low.abs().max(bounds.high.abs()).max_element();
+        roots.push(Root { reference: flatten(built, &mut top, &mut arenas), extent });
+    }
+    let count = |of: fn(&Arena) -> usize| arenas.iter().map(of).sum::<usize>();
+    let mut forest = Forest {
+        nodes: Pages::zeroed(top.len() + count(|a| a.nodes.len())),
+        blocks: Pages::zeroed(count(|a| a.blocks.len())),
+        ids: Pages::zeroed(count(|a| a.ids.len())),
     };
-    let peak = tree.bytes() + arenas.iter().map(|a| a.tree.bytes()).sum::<u64>();
-    let (top_nodes, mut nodes) = tree.nodes.split_at_mut(top.len());
-    let (mut blocks, mut ids) = (tree.blocks.as_mut_slice(), tree.ids.as_mut_slice());
+    let (top_nodes, mut nodes) = forest.nodes.split_at_mut(top.len());
+    let (mut blocks, mut ids) = (&mut *forest.blocks, &mut *forest.ids);
     let (mut first_node, mut first_block) = (top.len() as u32, 0u32);
-    let mut roots = Vec::with_capacity(arenas.len());
+    let mut arena_roots = Vec::with_capacity(arenas.len());
     let mut copies = Vec::with_capacity(arenas.len());
     for arena in arenas {
-        let (n, b) = (arena.tree.nodes.len(), arena.tree.blocks.len());
-        roots.push(moved(arena.root, first_node, first_block));
+        let (n, b) = (arena.nodes.len(), arena.blocks.len());
+        arena_roots.push(moved(arena.root, first_node, first_block));
         let (to_nodes, to_blocks, to_ids);
         (to_nodes, nodes) = nodes.split_at_mut(n);
         (to_blocks, blocks) = blocks.split_at_mut(b);
         (to_ids, ids) = ids.split_at_mut(b);
-        copies.push((arena.tree, first_node, first_block, to_nodes, to_blocks, to_ids));
+        copies.push((arena, first_node, first_block, to_nodes, to_blocks, to_ids));
         (first_node, first_block) = (first_node + n as u32, first_block + b as u32);
     }
     copies.into_par_iter().for_each(|(from, first_node, first_block, nodes, blocks, ids)| {
@@ -189,12 +217,16 @@ fn join(built: Built) -> (Tree, u64) {
         blocks.copy_from_slice(&from.blocks);
         ids.copy_from_slice(&from.ids);
     });
+    // Up to here a leaf was an arena, anything else another node of the top.
+    let found = |reference: u32| match reference & LEAF {
+        0 => reference,
+        _ => arena_roots[(reference & !LEAF) as usize],
+    };
     for (to, node) in top_nodes.iter_mut().zip(&top) {
-        *to = *node;
-        // In `top` a leaf is an arena, anything else another node of the top.
-        to.children = node.children.map(|c| if c & LEAF == 0 { c } else { roots[(c & !LEAF) as usize] });
+        *to = Node { children: node.children.map(found), ..*node };
     }
-    (tree, peak)
+    roots.iter_mut().for_each(|root| root.reference = found(root.reference));
+    (forest, roots)
 }
 
 fn moved(reference: u32, first_node: u32, first_block: u32) -> u32 {

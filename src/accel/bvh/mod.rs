@@ -1,4 +1,4 @@
-//! A bounding volume hierarchy in Rust: eight children a node, four triangles a leaf, no library below it.
+//! A bounding volume hierarchy in Rust: eight children a node, eight triangles a leaf, no library below it.
 //!
 //! Opaque and alpha-tested geometry stand in trees of their own, so that no mask is tested on the way: shadow rays
 //! through the opaque part never see a leaf of foliage. A top tree holds the triangles of the world and the boxes of
@@ -13,6 +13,7 @@ mod avx2;
 mod avx512;
 mod build;
 mod node;
+mod pages;
 mod portable;
 mod split;
 mod traverse;
@@ -22,16 +23,17 @@ use super::{Accel, AccelStats, Coherence, Hit, MakeAccel, Mask, Ray};
 use crate::error::{Error, Result};
 use crate::registry::{Kind, Opt, Params, Plugin};
 use crate::scene::Scene;
-use build::{Primitive, Source};
+use build::{Primitive, Source, Tree};
 use glam::{Affine3A, Vec3};
-use node::Tree;
+use node::{Forest, Root};
+use pages::Pages;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
-use traverse::{Kernel, Prepared, Stack, walk};
+use traverse::{Any, Closest, Kernel, Question, trace};
 
 /// The plugin.
 pub(super) const PLUGIN: Plugin<MakeAccel> = Plugin {
@@ -51,19 +53,18 @@ pub(super) const PLUGIN: Plugin<MakeAccel> = Plugin {
 struct Placed {
     /// World to mesh.
     inverse: Affine3A,
-    /// Index into [`World::shared`].
-    tree: u32,
+    /// The mesh's tree.
+    root: Root,
     /// Index into [`Scene::instances`].
     instance: u32,
 }
 
-/// All trees.
+/// All that rays can meet.
 #[derive(Debug, Default)]
 struct World {
-    /// Of the opaque geometry and of the rest.
-    tops: [Tree; 2],
-    /// Of the meshes that several instances show.
-    shared: Vec<Tree>,
+    forest: Forest,
+    /// The top trees of the opaque geometry and of the rest.
+    tops: [Option<Root>; 2],
     placed: Vec<Placed>,
 }
 
@@ -84,44 +85,34 @@ struct Bvh {
 }
 
 impl World {
-    /// The trees that a mask sees.
+    /// The nearest hits of a batch of valid rays.
     #[inline(always)]
-    fn seen(&self, mask: Mask) -> impl Iterator<Item = &Tree> {
-        self.tops
-            .iter()
-            .enumerate()
-            .filter(move |(i, t)| mask as u32 >> i & 1 == 1 && !t.nodes.is_empty())
-            .map(|(_, t)| t)
+    fn closest<K: Kernel>(&self, rays: &[Ray], mask: Mask, hits: &mut [Hit]) {
+        hits.fill(Hit::MISS);
+        self.ask::<K, Closest>(rays, mask, hits);
     }
-}
 
-/// The nearest hits of a batch.
-#[inline(always)]
-fn closest<K: Kernel>(world: &World, rays: &[Ray], mask: Mask, hits: &mut [Hit]) {
-    let mut stack = Stack::new();
-    for (ray, hit) in rays.iter().zip(hits) {
-        *hit = Hit::MISS;
-        for tree in world.seen(mask) {
-            let mut prepared = Prepared::new(ray, tree.extent);
-            prepared.tfar = prepared.tfar.min(hit.t);
-            walk::<K, false, true>(world, tree, &mut prepared, &mut stack, 0, hit);
+    /// Whether anything lies on the rays of a batch.
+    #[inline(always)]
+    fn any<K: Kernel>(&self, rays: &[Ray], mask: Mask, occluded: &mut [u8]) {
+        occluded.fill(0);
+        self.ask::<K, Any>(rays, mask, occluded);
+    }
+
+    #[inline(always)]
+    fn ask<K: Kernel, Q: Question>(&self, rays: &[Ray], mask: Mask, answers: &mut [Q::Answer]) {
+        for (index, root) in self.tops.iter().enumerate() {
+            match root {
+                Some(root) if mask as u32 >> index & 1 == 1 => {
+                    if self.placed.is_empty() {
+                        trace::<K, Q, false>(self, *root, rays, answers);
+                    } else {
+                        trace::<K, Q, true>(self, *root, rays, answers);
+                    }
+                }
+                _ => (),
+            }
         }
-    }
-}
-
-/// Whether anything lies on the rays of a batch.
-#[inline(always)]
-fn any<K: Kernel>(world: &World, rays: &[Ray], mask: Mask, occluded: &mut [u8]) {
-    let mut stack = Stack::new();
-    for (ray, answer) in rays.iter().zip(occluded) {
-        let mut hit = Hit::MISS;
-        let mut seen = world.seen(mask);
-        *answer = seen
-            .any(|tree| {
-                let mut prepared = Prepared::new(ray, tree.extent);
-                walk::<K, true, true>(world, tree, &mut prepared, &mut stack, 0, &mut hit)
-            })
-            .into();
     }
 }
 
@@ -172,22 +163,24 @@ impl<'a> Parts<'a> {
         self.parts.iter().map(|p| p.indices.len()).sum()
     }
 
-    /// A primitive for every triangle that has a place.
-    fn primitives(&self, room: usize) -> Vec<Primitive> {
-        let mut primitives = Vec::with_capacity(self.triangles() + room);
+    /// A primitive for every triangle, absent ones included, and the instances behind them.
+    fn primitives(&self, instances: &[Primitive]) -> Pages<Primitive> {
+        let mut primitives = Pages::zeroed(self.triangles() + instances.len());
+        let (mut rest, last) = primitives.split_at_mut(self.triangles());
+        last.copy_from_slice(instances);
         for (item, part) in self.parts.iter().enumerate() {
-            let triangles = part.indices.par_iter().enumerate().map(|(triangle, indices)| {
-                let [a, b, c] = indices.map(|i| part.positions[i as usize]);
-                let (mut low, high) = (a.min(b).min(c), a.max(b).max(c));
-                if ![a, b, c].into_iter().all(placement::usable) {
-                    low.x = Primitive::ABSENT;
-                }
-                Primitive { low, item: item as u32, high, triangle: triangle as u32 }
-            });
-            primitives.par_extend(triangles);
-        }
-        if primitives.par_iter().any(|p| p.low.x == Primitive::ABSENT) {
-            primitives.retain(|p| p.low.x != Primitive::ABSENT);
+            let (own, others) = std::mem::take(&mut rest).split_at_mut(part.indices.len());
+            rest = others;
+            own.par_iter_mut().zip(part.indices).enumerate().with_min_len(1024).for_each(
+                |(triangle, (to, indices))| {
+                    let [a, b, c] = indices.map(|i| part.positions[i as usize]);
+                    let (mut low, high) = (a.min(b).min(c), a.max(b).max(c));
+                    if ![a, b, c].into_iter().all(placement::usable) {
+                        low.x = Primitive::ABSENT;
+                    }
+                    *to = Primitive { low, item: item as u32, high, triangle: triangle as u32 };
+                },
+            );
         }
         primitives
     }
@@ -201,8 +194,7 @@ impl Bvh {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.max(1)).build();
         let pool = pool.map_err(|e| Error::Accel(format!("bvh: cannot start {threads} threads: {e}")))?;
         let (world, triangles, peak) = pool.install(|| World::new(scene, &placements))?;
-        let trees = world.tops.iter().chain(&world.shared);
-        let bytes = trees.map(Tree::bytes).sum::<u64>() + size_of_val(world.placed.as_slice()) as u64;
+        let bytes = world.forest.bytes() + size_of_val(world.placed.as_slice()) as u64;
         let build_s = start.elapsed().as_secs_f64();
         let stats = AccelStats { build_s, triangles, bytes, peak_bytes: peak.max(bytes), invalid_rays: 0 };
         Ok(Self { world, questions, limit: placement::ray_limit(&placements), stats, invalid: AtomicU64::new(0) })
@@ -212,25 +204,32 @@ impl Bvh {
 impl World {
     /// Also returns the number of triangles and the most bytes held.
     fn new(scene: &Scene, placements: &[Placement]) -> Result<(Self, u64, u64)> {
-        let mut world = Self::default();
-        let (mut triangles, mut peak, mut held) = (0, 0, 0);
+        let mut trees: Vec<Tree> = Vec::new();
+        let (mut triangles, mut peak) = (0, 0);
+        // Adds a tree; returns its place in the list, if it has anything in it.
+        let mut plant = |parts: &Parts<'_>, instances: &[Primitive], trees: &mut Vec<Tree>| {
+            let mut primitives = parts.primitives(instances);
+            triangles += parts.triangles() as u64;
+            let tree = build::build(parts, present(&mut primitives));
+            trees.extend(tree);
+            let held: u64 = trees.iter().map(Tree::bytes).sum();
+            peak = peak.max(held + size_of_val(&*primitives) as u64);
+        };
+        // Shared meshes first: their boxes are the instances'.
         let mut numbers = HashMap::new();
+        let mut placed = Vec::new();
         let mut instances = [Vec::new(), Vec::new()];
         for placement in placements {
             let Space::Shared(inverse) = placement.space else { continue };
-            let tree = *numbers.entry(placement.mesh).or_insert_with(|| {
-                let parts = Parts::of(scene, &[placement]);
-                let (tree, bytes) = grow(&parts, Vec::new());
-                triangles += parts.triangles() as u64;
-                peak = peak.max(held + bytes);
-                held += tree.bytes();
-                world.shared.push(tree);
-                world.shared.len() as u32 - 1
+            let number = *numbers.entry(placement.mesh).or_insert_with(|| {
+                let number = trees.len();
+                plant(&Parts::of(scene, &[placement]), &[], &mut trees);
+                (trees.len() > number).then_some(number)
             });
-            let Some(bounds) = world.shared[tree as usize].bounds() else { continue };
-            let (low, high) = moved(&bounds, &scene.instances[placement.instance as usize].transform, &inverse);
-            let item = world.placed.len() as u32;
-            world.placed.push(Placed { inverse, tree, instance: placement.instance });
+            let Some(number) = number else { continue };
+            let (low, high) = moved(&trees[number].bounds, &scene.instances[placement.instance as usize].transform);
+            let item = placed.len() as u32;
+            placed.push((inverse, number, placement.instance));
             instances[placement.mask as usize - 1].push(Primitive {
                 low,
                 item,
@@ -238,40 +237,45 @@ impl World {
                 triangle: Primitive::IS_INSTANCE,
             });
         }
-        for (index, instances) in instances.into_iter().enumerate() {
+        let mut tops = [None, None];
+        for (index, instances) in instances.iter().enumerate() {
             let own = |p: &&Placement| p.mask as usize - 1 == index && !matches!(p.space, Space::Shared(_));
             let parts = Parts::of(scene, &placements.iter().filter(own).collect::<Vec<_>>());
-            if parts.triangles() + instances.len() >= node::INSTANCE as usize {
-                return Err(Error::Accel("bvh: more than 2^30 triangles: use --accel embree".to_owned()));
-            }
-            let (tree, bytes) = grow(&parts, instances);
-            triangles += parts.triangles() as u64;
-            peak = peak.max(held + bytes);
-            held += tree.bytes();
-            world.tops[index] = tree;
+            let number = trees.len();
+            plant(&parts, instances, &mut trees);
+            tops[index] = (trees.len() > number).then_some(number);
         }
-        Ok((world, triangles, peak))
+        if triangles + placed.len() as u64 >= u64::from(node::INSTANCE) {
+            return Err(Error::Accel("bvh: more than 2^30 triangles: use --accel embree".to_owned()));
+        }
+        let held: u64 = trees.iter().map(Tree::bytes).sum();
+        let (forest, roots) = build::join(trees);
+        let tops = tops.map(|number| number.map(|n| roots[n]));
+        let placed = placed.into_iter().map(|(inverse, n, instance)| Placed { inverse, root: roots[n], instance });
+        peak = peak.max(held + forest.bytes());
+        Ok((Self { forest, tops, placed: placed.collect() }, triangles, peak))
     }
 }
 
-/// A tree over the parts' triangles and some instances, and the most bytes that took.
-fn grow(parts: &Parts<'_>, instances: Vec<Primitive>) -> (Tree, u64) {
-    let mut primitives = parts.primitives(instances.len());
-    primitives.extend(instances);
-    let (tree, bytes) = build::build(parts, &mut primitives);
-    let peak = bytes + size_of_val(primitives.as_slice()) as u64;
-    (tree, peak)
+/// The primitives that have a place, moved to the front.
+fn present(primitives: &mut [Primitive]) -> &mut [Primitive] {
+    let absent = |p: &Primitive| p.low.x == Primitive::ABSENT;
+    if !primitives.par_iter().any(absent) {
+        return primitives;
+    }
+    primitives.sort_by_key(absent);
+    let count = primitives.partition_point(|p| !absent(p));
+    &mut primitives[..count]
 }
 
 /// The world box of a box in an instance's space, widened by what the rays' way into that space may lose.
-fn moved(bounds: &node::Aabb, transform: &Affine3A, inverse: &Affine3A) -> (Vec3, Vec3) {
+fn moved(bounds: &node::Aabb, transform: &Affine3A) -> (Vec3, Vec3) {
     let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     for corner in 0..8 {
         let pick = |axis: usize| if corner >> axis & 1 == 1 { bounds.high[axis] } else { bounds.low[axis] };
         let p = transform.transform_point3(Vec3::new(pick(0), pick(1), pick(2)));
         (low, high) = (low.min(p), high.max(p));
     }
-    let _ = inverse;
     let pad = (low.abs().max(high.abs()) + transform.translation.abs().max_element()) * 4.0 * f32::EPSILON;
     (low - pad, high + pad)
 }

@@ -1,15 +1,16 @@
-//! What the tree is made of: nodes of eight children and blocks of four triangles, both laid out for vectors.
+//! What the tree is made of: nodes of eight children and blocks of eight triangles, both laid out for vectors.
 //!
 //! A node is 256 bytes: the planes of eight boxes, eight references, and for each of the eight octants of directions
 //! the order in which its rays pass the children. Sorting by that order at a visit takes one permutation instead of a
 //! sort by distance.
 
+use super::pages::Pages;
 use glam::Vec3A;
 
 /// Children of a node.
 pub(super) const WIDTH: usize = 8;
 /// Triangles of a block.
-pub(super) const BLOCK: usize = 4;
+pub(super) const BLOCK: usize = 8;
 /// Marks a reference as a leaf: a block of triangles.
 pub(super) const LEAF: u32 = 1 << 31;
 /// Marks a leaf as an instance.
@@ -47,7 +48,7 @@ impl Aabb {
 }
 
 /// Eight boxes and where they lead.
-#[derive(Debug, Clone, Copy, bytemuck::Zeroable)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C, align(64))]
 pub(super) struct Node {
     /// Lower x, y, z, upper x, y, z of each child; an absent child's lower planes are at +∞, its upper at −∞.
@@ -80,61 +81,118 @@ fn order(boxes: &[Aabb]) -> [u32; WIDTH] {
     for octant in 0..4u32 {
         let sign = |axis: u32| if octant >> axis & 1 == 1 { -1.0 } else { 1.0 };
         let dir = Vec3A::new(sign(0), sign(1), sign(2));
-        let mut keys = [(0.0f32, 0u32); WIDTH];
+        let mut keys = [0u32; WIDTH];
         for (lane, key) in keys.iter_mut().enumerate() {
-            *key = (boxes.get(lane).map_or(0.0, |b| (b.low + b.high).dot(dir)), lane as u32);
+            let place = boxes.get(lane).map_or(f32::NEG_INFINITY, |b| (b.low + b.high).dot(dir));
+            // As an integer that sorts like the float; its last bits make way for the lane.
+            let bits = place.to_bits();
+            *key = (bits ^ ((bits as i32 >> 31) as u32 | 1 << 31)) & !7 | lane as u32;
         }
-        let present = &mut keys[..boxes.len()];
-        present.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
-        let n = present.len();
+        sort_descending(&mut keys);
+        let present = boxes.len();
         for i in 0..WIDTH {
-            let opposite = if i < n { keys[n - 1 - i].1 } else { keys[i].1 };
-            packed[i] |= keys[i].1 << (3 * octant) | opposite << (3 * (7 - octant));
+            let opposite = if i < present { keys[present - 1 - i] } else { keys[i] };
+            packed[i] |= (keys[i] & 7) << (3 * octant) | (opposite & 7) << (3 * (7 - octant));
         }
     }
     packed
 }
 
-/// Four triangles: `corners[vertex][axis][lane]`. Lanes without a triangle are points, which nothing meets.
-#[derive(Debug, Clone, Copy, bytemuck::Zeroable)]
-#[repr(C, align(16))]
+/// Batcher's network: 19 exchanges without a branch.
+fn sort_descending(keys: &mut [u32; WIDTH]) {
+    const EXCHANGES: [(usize, usize); 19] = [
+        (0, 1),
+        (2, 3),
+        (4, 5),
+        (6, 7),
+        (0, 2),
+        (1, 3),
+        (4, 6),
+        (5, 7),
+        (1, 2),
+        (5, 6),
+        (0, 4),
+        (1, 5),
+        (2, 6),
+        (3, 7),
+        (2, 4),
+        (3, 5),
+        (1, 2),
+        (3, 4),
+        (5, 6),
+    ];
+    for (a, b) in EXCHANGES {
+        (keys[a], keys[b]) = (keys[a].max(keys[b]), keys[a].min(keys[b]));
+    }
+}
+
+/// Eight triangles: `corners[vertex][axis][lane]`. Lanes without a triangle are points, which nothing meets.
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C, align(32))]
 pub(super) struct Block {
     pub(super) corners: [[[f32; BLOCK]; 3]; 3],
 }
 
 /// What the triangles of a block are; read only on a hit.
-#[derive(Debug, Clone, Copy, bytemuck::Zeroable)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub(super) struct Ids {
     pub(super) instance: [u32; BLOCK],
     pub(super) triangle: [u32; BLOCK],
 }
 
-/// A tree; without nodes it is empty, otherwise node 0 is the root.
+/// The nodes and leaves of all trees of a scene.
 #[derive(Debug, Default)]
-pub(super) struct Tree {
-    pub(super) nodes: Vec<Node>,
-    pub(super) blocks: Vec<Block>,
-    pub(super) ids: Vec<Ids>,
-    /// The largest |coordinate| of its boxes.
+pub(super) struct Forest {
+    pub(super) nodes: Pages<Node>,
+    pub(super) blocks: Pages<Block>,
+    pub(super) ids: Pages<Ids>,
+}
+
+impl Forest {
+    /// Bytes held.
+    pub(super) fn bytes(&self) -> u64 {
+        (size_of_val(&*self.nodes) + size_of_val(&*self.blocks) + size_of_val(&*self.ids)) as u64
+    }
+}
+
+/// Where a tree of the forest begins.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Root {
+    /// The node.
+    pub(super) reference: u32,
+    /// The largest |coordinate| of the tree's boxes.
     pub(super) extent: f32,
 }
 
-impl Tree {
-    /// The box of everything in it.
-    pub(super) fn bounds(&self) -> Option<Aabb> {
-        let root = self.nodes.first()?;
-        let row = |row: usize| root.planes[row].iter().copied();
-        let low = Vec3A::from([0, 1, 2].map(|axis| row(axis).fold(f32::INFINITY, f32::min)));
-        let high = Vec3A::from([3, 4, 5].map(|axis| row(axis).fold(f32::NEG_INFINITY, f32::max)));
-        Some(Aabb { low, high })
+const _: () = assert!(size_of::<Node>() == 256 && size_of::<Block>() == 36 * BLOCK && size_of::<Ids>() == 8 * BLOCK);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_network_sorts_whatever_it_is_given() {
+        // A network that sorts all zeros and ones sorts everything.
+        for bits in 0..256u32 {
+            let mut keys = std::array::from_fn(|i| bits >> i & 1);
+            sort_descending(&mut keys);
+            assert!(keys.is_sorted_by(|a, b| a >= b), "{bits:#b}: {keys:?}");
+        }
     }
 
-    /// Bytes held.
-    pub(super) fn bytes(&self) -> u64 {
-        (size_of_val(self.nodes.as_slice()) + size_of_val(self.blocks.as_slice()) + size_of_val(self.ids.as_slice()))
-            as u64
+    #[test]
+    fn children_are_ordered_from_far_to_near_in_every_octant() {
+        let at = |x: f32, y: f32| Aabb { low: Vec3A::new(x, y, 0.0), high: Vec3A::new(x + 1.0, y + 1.0, 1.0) };
+        let node = Node::new(&[at(0.0, 0.0), at(2.0, 0.0), at(-3.0, 0.0), at(0.0, 9.0), at(0.0, -9.0)]);
+        for octant in 0..8u32 {
+            let sign = |axis: u32| if octant >> axis & 1 == 1 { -1.0f32 } else { 1.0 };
+            let order = node.order.map(|o| (o >> (3 * octant)) as usize % WIDTH);
+            let mut all = order;
+            all.sort_unstable();
+            assert_eq!(all, [0, 1, 2, 3, 4, 5, 6, 7], "octant {octant}: a permutation");
+            let place = |lane: usize| node.planes[0][lane] * sign(0) + node.planes[1][lane] * sign(1);
+            assert!(order[..5].is_sorted_by(|a, b| place(*a) >= place(*b)), "octant {octant}: {order:?}");
+        }
     }
 }
-
-const _: () = assert!(size_of::<Node>() == 256 && size_of::<Block>() == 144 && size_of::<Ids>() == 32);

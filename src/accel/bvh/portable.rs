@@ -1,26 +1,18 @@
 //! The kernel in plain Rust: right everywhere, and what the others are held to.
 
-use super::Questions;
 use super::node::{BLOCK, Block, Node, WIDTH};
 use super::traverse::{Kernel, LATER, Met, Prepared};
+use super::{Questions, World};
 
 /// The portable kernel.
 pub(super) struct Portable;
 
 /// Answers batches with the portable kernel.
-pub(super) const QUESTIONS: Questions = Questions { closest: super::closest::<Portable>, any: super::any::<Portable> };
+pub(super) const QUESTIONS: Questions = Questions { closest: World::closest::<Portable>, any: World::any::<Portable> };
 
 impl Kernel for Portable {
-    type Ray = ();
-
     #[inline(always)]
-    fn load(_: &Prepared) {}
-
-    #[inline(always)]
-    fn shorten(_: &mut (), _: f32) {}
-
-    #[inline(always)]
-    fn boxes(_: &(), ray: &Prepared, node: &Node, children: &mut [u32; WIDTH], at: &mut [f32; WIDTH]) -> usize {
+    fn boxes(ray: &Prepared, node: &Node, children: &mut [u32; WIDTH], at: &mut [f32; WIDTH]) -> usize {
         let (mut enter, mut leave) = ([ray.tnear; WIDTH], [ray.tfar; WIDTH]);
         for axis in 0..3 {
             let near = &node.planes[ray.near[axis]];
@@ -39,6 +31,9 @@ impl Kernel for Portable {
         }
         count
     }
+
+    #[inline(always)]
+    fn prefetch<T>(_: &T) {}
 
     #[inline(always)]
     fn any(ray: &Prepared, block: &Block) -> bool {

@@ -1,11 +1,12 @@
-//! Where a range of primitives is cut: the cheapest of 15 planes an axis by the surface area heuristic, counted in
-//! blocks of triangles; in halves where all centroids coincide.
+//! Where a range of primitives is cut: the cheapest of up to 15 planes an axis by the surface area heuristic, counted
+//! in blocks of triangles; in halves where all centroids coincide.
 
 use super::build::Primitive;
 use super::node::{Aabb, BLOCK};
 use glam::Vec3A;
 use rayon::prelude::*;
 
+/// Bins of a large range; small ones have fewer.
 const BINS: usize = 16;
 /// Ranges beyond this are binned in parallel, in chunks of this size.
 const CHUNK: usize = 65_536;
@@ -61,28 +62,32 @@ struct Bins([[Bin; BINS]; 3]);
 struct Mapping {
     low: Vec3A,
     scale: Vec3A,
+    bins: usize,
 }
 
+/// Added to a number from 0 to 15, this leaves the nearest whole number in the last bits.
+const ROUND: f32 = 8_388_608.0;
+
 impl Mapping {
-    fn new(centroids: &Aabb) -> Self {
+    fn new(centroids: &Aabb, count: usize) -> Self {
+        let bins = if count < 64 { 8 } else { BINS };
         let size = centroids.high - centroids.low;
-        // Just below 16, so that the last centroid falls into the last bin. An axis without extent has scale 0.
-        let scale =
-            Vec3A::select(size.cmpgt(Vec3A::splat(1e-30)), Vec3A::splat(BINS as f32 * 0.9999) / size, Vec3A::ZERO);
-        Self { low: centroids.low, scale }
+        // An axis without extent has scale 0.
+        let scale = Vec3A::select(size.cmpgt(Vec3A::splat(1e-30)), Vec3A::splat((bins - 1) as f32) / size, Vec3A::ZERO);
+        Self { low: centroids.low, scale, bins }
     }
 
     #[inline]
     fn bins(&self, primitive: &Primitive) -> [usize; 3] {
         let centroid = Vec3A::from(primitive.low) + Vec3A::from(primitive.high);
-        let place = (centroid - self.low) * self.scale;
-        [place.x, place.y, place.z].map(|p| (p as usize).min(BINS - 1))
+        let place = (centroid - self.low) * self.scale + ROUND;
+        place.to_array().map(|p| p.to_bits() as usize % BINS)
     }
 
     #[inline]
     fn bin(&self, primitive: &Primitive, axis: usize) -> usize {
-        let place = (primitive.low[axis] + primitive.high[axis] - self.low[axis]) * self.scale[axis];
-        (place as usize).min(BINS - 1)
+        let place = (primitive.low[axis] + primitive.high[axis] - self.low[axis]) * self.scale[axis] + ROUND;
+        place.to_bits() as usize % BINS
     }
 }
 
@@ -121,13 +126,13 @@ impl Bins {
             let bins = &self.0[axis];
             let mut right_costs = [0.0; BINS];
             let (mut bounds, mut count) = (Aabb::EMPTY, 0);
-            for i in (1..BINS).rev() {
+            for i in (1..mapping.bins).rev() {
                 bounds = bounds.union(bins[i].bounds);
                 count += bins[i].count;
                 right_costs[i] = cost(&bounds, count);
             }
             (bounds, count) = (Aabb::EMPTY, 0);
-            for i in 1..BINS {
+            for i in 1..mapping.bins {
                 bounds = bounds.union(bins[i - 1].bounds);
                 count += bins[i - 1].count;
                 let total = cost(&bounds, count) + right_costs[i];
@@ -148,7 +153,7 @@ fn cost(bounds: &Aabb, count: u32) -> f32 {
 
 /// Reorders a range into two: returns where the second begins, and what is known of both.
 pub(super) fn split(primitives: &mut [Primitive], info: &Info, halve: bool) -> (usize, Info, Info) {
-    let mapping = Mapping::new(&info.centroids);
+    let mapping = Mapping::new(&info.centroids, primitives.len());
     let cut = if halve {
         None
     } else if primitives.len() <= CHUNK {

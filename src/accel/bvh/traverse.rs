@@ -1,12 +1,18 @@
-//! The way of a ray through the trees, written once over a [`Kernel`] that tests eight boxes or four triangles.
+//! The way of rays through the trees, written once over a [`Kernel`] that tests eight boxes or eight triangles.
+//!
+//! A batch's rays are on their way several at a time, in turns: while one waits for its next node to come from memory,
+//! the others' are tested. A ray that is done makes room for the next of the batch.
 //!
 //! Boxes are tested conservatively and triangles watertight (Woop, Benthin & Wald 2013): a shared edge is the same
 //! number to both triangles, so that no ray slips between them.
 
-use super::node::{BLOCK, Block, INSTANCE, LEAF, Node, Tree, WIDTH};
+use super::node::{BLOCK, Block, Forest, INSTANCE, Ids, LEAF, Node, Root, WIDTH};
 use super::{Placed, World};
 use crate::accel::{Hit, Ray};
+use std::cell::Cell;
 
+/// Rays on their way at a time.
+const LANES: usize = 12;
 /// Entries of the stack: seven wait at every level of both trees, and a node writes eight at a time.
 const STACK: usize = 2 * 7 * (super::build::MAX_DEPTH + 1) + 2 * WIDTH;
 
@@ -93,122 +99,243 @@ pub(super) struct Met {
     pub(super) v: f32,
 }
 
-/// Tests of eight boxes and four triangles. The implementations must agree with the portable one.
+/// Tests of eight boxes and of eight triangles. The implementations must agree with the portable one.
 pub(super) trait Kernel {
-    /// A ray in registers.
-    type Ray;
-    /// Loads a ray.
-    fn load(ray: &Prepared) -> Self::Ray;
-    /// After a hit.
-    fn shorten(loaded: &mut Self::Ray, tfar: f32);
     /// Writes the references and distances of the children whose boxes are met, far to near in the octant's order, to
     /// the front of the two arrays (the rest may be overwritten); returns their number.
-    fn boxes(
-        loaded: &Self::Ray,
-        ray: &Prepared,
-        node: &Node,
-        children: &mut [u32; WIDTH],
-        at: &mut [f32; WIDTH],
-    ) -> usize;
+    fn boxes(ray: &Prepared, node: &Node, children: &mut [u32; WIDTH], at: &mut [f32; WIDTH]) -> usize;
     /// Whether any triangle is met.
     fn any(ray: &Prepared, block: &Block) -> bool;
     /// The nearest triangle met.
     fn closest(ray: &Prepared, block: &Block) -> Option<Met>;
+    /// Asks for something to be brought near.
+    fn prefetch<T>(what: &T);
 }
 
-/// What is still to be visited: references and where their boxes are entered.
-pub(super) struct Stack {
+/// What is asked of a ray.
+pub(super) trait Question {
+    /// The first hit found is enough.
+    const ANY: bool;
+    /// What is known so far and what is found.
+    type Answer;
+    /// How far to look, given what is known from other trees; `None` if no answer could change it.
+    fn limit(ray: &Ray, answer: &Self::Answer) -> Option<f32>;
+    /// Notes a hit.
+    fn found(answer: &mut Self::Answer, hit: Hit);
+}
+
+/// The nearest hit.
+pub(super) struct Closest;
+
+impl Question for Closest {
+    const ANY: bool = false;
+    type Answer = Hit;
+    #[inline(always)]
+    fn limit(ray: &Ray, answer: &Hit) -> Option<f32> {
+        Some(ray.tfar.min(answer.t))
+    }
+    #[inline(always)]
+    fn found(answer: &mut Hit, hit: Hit) {
+        *answer = hit;
+    }
+}
+
+/// Whether there is a hit.
+pub(super) struct Any;
+
+impl Question for Any {
+    const ANY: bool = true;
+    type Answer = u8;
+    #[inline(always)]
+    fn limit(ray: &Ray, answer: &u8) -> Option<f32> {
+        (*answer == 0).then_some(ray.tfar)
+    }
+    #[inline(always)]
+    fn found(answer: &mut u8, _: Hit) {
+        *answer = 1;
+    }
+}
+
+/// A ray on its way.
+struct Lane {
+    ray: Prepared,
+    /// Which of the batch.
+    index: usize,
+    /// What to visit next.
+    reference: u32,
+    /// Where the stack ends.
+    top: usize,
+    /// Where it began when the instance was entered; 0 outside.
+    base: usize,
+    /// The instance it is in, index into [`World::placed`].
+    inside: Option<u32>,
+    /// The ray in the world, while it is inside an instance.
+    outer: Prepared,
+    /// What is still to be visited …
     children: [u32; STACK],
+    /// … and where it is entered.
     at: [f32; STACK],
 }
 
-impl Stack {
-    pub(super) const fn new() -> Self {
-        Self { children: [0; STACK], at: [0.0; STACK] }
-    }
+thread_local! {
+    /// Made once a thread, not once a call: the stacks are large.
+    static LANES_OF_THREAD: Cell<Option<Box<[Lane]>>> = const { Cell::new(None) };
 }
 
-/// The nearest hit below `ray.tfar` in a tree, written to `hit`; with `ANY` the first that is found, and only whether.
-/// `TOP` trees may hold instances, whose own trees are walked on the same stack, from `base` on.
+/// Out of line: they would otherwise take their room on the stack at every call.
+#[cold]
+#[inline(never)]
+fn new_lanes() -> Box<[Lane]> {
+    (0..LANES).map(|_| Lane::new()).collect()
+}
+
+/// All trees as slices, and where the instances stand in them.
+#[derive(Clone, Copy)]
+struct View<'a> {
+    nodes: &'a [Node],
+    blocks: &'a [Block],
+    ids: &'a [Ids],
+    placed: &'a [Placed],
+}
+
+/// Asks about a batch of valid rays in one top tree and the instances in it. `INSTANCES` says whether there are any.
 #[inline(always)]
-pub(super) fn walk<K: Kernel, const ANY: bool, const TOP: bool>(
+pub(super) fn trace<K: Kernel, Q: Question, const INSTANCES: bool>(
     world: &World,
-    tree: &Tree,
-    ray: &mut Prepared,
-    stack: &mut Stack,
-    base: usize,
-    hit: &mut Hit,
-) -> bool {
-    if tree.nodes.is_empty() {
-        return false;
+    root: Root,
+    rays: &[Ray],
+    answers: &mut [Q::Answer],
+) {
+    let Forest { nodes, blocks, ids } = &world.forest;
+    let view = View { nodes, blocks, ids, placed: &world.placed };
+    // Taken out and put back: the vector code is not inlined into closures.
+    let mut lanes = LANES_OF_THREAD.take().unwrap_or_else(new_lanes);
+    // The lanes are too large to be moved about.
+    let mut order: [usize; LANES] = std::array::from_fn(|i| i);
+    let (mut next, mut active) = (0, 0);
+    while active < LANES && lanes[active].start::<Q>(root, rays, answers, &mut next) {
+        active += 1;
     }
-    let mut loaded = K::load(ray);
-    let mut found = false;
-    let mut top = base;
-    let mut reference = 0;
-    loop {
-        if reference & LEAF == 0 {
-            let node = &tree.nodes[reference as usize];
-            let children = stack.children.get_mut(top..).and_then(|s| s.first_chunk_mut());
-            let at = stack.at.get_mut(top..).and_then(|s| s.first_chunk_mut());
-            let (Some(children), Some(at)) = (children, at) else { unreachable!("the builder bounds the depth") };
-            top += K::boxes(&loaded, ray, node, children, at);
-        } else if !TOP || reference & INSTANCE == 0 {
-            let index = (reference & !LEAF) as usize;
-            let block = &tree.blocks[index];
-            if ANY {
-                if K::any(ray, block) {
-                    return true;
-                }
-            } else if let Some(met) = K::closest(ray, block) {
-                let ids = &tree.ids[index];
-                let (instance, triangle) = (ids.instance[met.lane % BLOCK], ids.triangle[met.lane % BLOCK]);
-                *hit = Hit { t: met.t, u: met.u, v: met.v, instance, triangle };
-                ray.tfar = met.t;
-                K::shorten(&mut loaded, met.t);
-                found = true;
-            }
-        } else {
-            let placed = &world.placed[(reference & !(LEAF | INSTANCE)) as usize];
-            if visit::<K, ANY>(world, placed, ray, stack, top, hit) {
-                if ANY {
-                    return true;
-                }
-                ray.tfar = hit.t;
-                K::shorten(&mut loaded, hit.t);
-                found = true;
+    while active > 0 {
+        let mut i = 0;
+        while i < active {
+            let lane = &mut lanes[order[i] % LANES];
+            let done = lane.step::<K, Q, INSTANCES>(view, answers);
+            if done && !lane.start::<Q>(root, rays, answers, &mut next) {
+                active -= 1;
+                order.swap(i, active);
+            } else {
+                i += 1;
             }
         }
-        loop {
-            if top == base {
-                return found;
+    }
+    LANES_OF_THREAD.set(Some(lanes));
+}
+
+impl Lane {
+    fn new() -> Self {
+        let nowhere = Prepared::new(&Ray { origin: glam::Vec3::ZERO, tnear: 0.0, dir: glam::Vec3::Y, tfar: 0.0 }, 0.0);
+        Self {
+            ray: nowhere,
+            index: 0,
+            reference: 0,
+            top: 0,
+            base: 0,
+            inside: None,
+            outer: nowhere,
+            children: [0; STACK],
+            at: [0.0; STACK],
+        }
+    }
+
+    /// Takes the next ray that has a question; false if there is none left.
+    #[inline(always)]
+    fn start<Q: Question>(&mut self, root: Root, rays: &[Ray], answers: &[Q::Answer], next: &mut usize) -> bool {
+        while let (Some(ray), Some(answer)) = (rays.get(*next), answers.get(*next)) {
+            self.index = *next;
+            *next += 1;
+            if let Some(tfar) = Q::limit(ray, answer) {
+                self.ray = Prepared::new(&Ray { tfar, ..*ray }, root.extent);
+                (self.reference, self.top, self.base, self.inside) = (root.reference, 0, 0, None);
+                return true;
             }
-            top -= 1;
-            if ANY || stack.at[top] <= ray.tfar {
+        }
+        false
+    }
+
+    /// Visits a node or a leaf; true when the ray is done.
+    #[inline(always)]
+    fn step<K: Kernel, Q: Question, const INSTANCES: bool>(
+        &mut self,
+        view: View<'_>,
+        answers: &mut [Q::Answer],
+    ) -> bool {
+        if self.reference & LEAF == 0 {
+            let node = &view.nodes[self.reference as usize];
+            let children = self.children.get_mut(self.top..).and_then(|s| s.first_chunk_mut());
+            let at = self.at.get_mut(self.top..).and_then(|s| s.first_chunk_mut());
+            let (Some(children), Some(at)) = (children, at) else { unreachable!("the builder bounds the depth") };
+            self.top += K::boxes(&self.ray, node, children, at);
+        } else if !INSTANCES || self.reference & INSTANCE == 0 {
+            let block = (self.reference & !LEAF) as usize;
+            if Q::ANY {
+                if K::any(&self.ray, &view.blocks[block]) {
+                    Q::found(&mut answers[self.index], Hit::MISS);
+                    return true;
+                }
+            } else if let Some(met) = K::closest(&self.ray, &view.blocks[block]) {
+                let ids = &view.ids[block];
+                let (mut instance, triangle) = (ids.instance[met.lane % BLOCK], ids.triangle[met.lane % BLOCK]);
+                if let Some(placed) = self.inside.filter(|_| INSTANCES) {
+                    instance = view.placed[placed as usize].instance;
+                }
+                self.ray.tfar = met.t;
+                Q::found(&mut answers[self.index], Hit { t: met.t, u: met.u, v: met.v, instance, triangle });
+            }
+        } else {
+            let placed = self.reference & !(LEAF | INSTANCE);
+            self.enter(&view.placed[placed as usize], placed);
+            K::prefetch(&view.nodes[self.reference as usize]);
+            return false;
+        }
+        loop {
+            while self.top == self.base {
+                if !INSTANCES || self.inside.is_none() {
+                    return true;
+                }
+                self.leave();
+            }
+            self.top -= 1;
+            if Q::ANY || self.at[self.top] <= self.ray.tfar {
                 break;
             }
         }
-        reference = stack.children[top];
+        self.reference = self.children[self.top];
+        if self.reference & LEAF == 0 {
+            K::prefetch(&view.nodes[self.reference as usize]);
+        } else if !INSTANCES || self.reference & INSTANCE == 0 {
+            K::prefetch(&view.blocks[(self.reference & !LEAF) as usize]);
+        }
+        false
     }
-}
 
-/// The ray in an instance's space through the tree of its mesh.
-#[inline(always)]
-fn visit<K: Kernel, const ANY: bool>(
-    world: &World,
-    placed: &Placed,
-    ray: &Prepared,
-    stack: &mut Stack,
-    base: usize,
-    hit: &mut Hit,
-) -> bool {
-    let tree = &world.shared[placed.tree as usize];
-    let origin = placed.inverse.transform_point3(ray.world.origin);
-    let dir = placed.inverse.transform_vector3(ray.world.dir);
-    let mut local = Prepared::new(&Ray { origin, tnear: ray.tnear, dir, tfar: ray.tfar }, tree.extent);
-    let found = walk::<K, ANY, false>(world, tree, &mut local, stack, base, hit);
-    if found && !ANY {
-        hit.instance = placed.instance;
+    /// Goes on in an instance's space, at the root of its mesh.
+    #[inline(always)]
+    fn enter(&mut self, placed: &Placed, index: u32) {
+        let Placed { inverse, root, .. } = placed;
+        let origin = inverse.transform_point3(self.ray.world.origin);
+        let dir = inverse.transform_vector3(self.ray.world.dir);
+        let local = Ray { origin, tnear: self.ray.tnear, dir, tfar: self.ray.tfar };
+        self.outer = self.ray;
+        self.ray = Prepared::new(&local, root.extent);
+        (self.reference, self.base, self.inside) = (root.reference, self.top, Some(index));
     }
-    found
+
+    /// Goes on in the world. Distances are the same in both spaces.
+    #[inline(always)]
+    fn leave(&mut self) {
+        let tfar = self.ray.tfar;
+        self.ray = Prepared { tfar, ..self.outer };
+        (self.base, self.inside) = (0, None);
+    }
 }
