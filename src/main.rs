@@ -2,6 +2,9 @@
 
 mod cli;
 mod commands;
+mod markup;
+mod plot;
+mod ramp;
 
 use std::process::ExitCode;
 

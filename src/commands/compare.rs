@@ -3,9 +3,9 @@
 
 mod page;
 mod pair;
-mod ramp;
 mod set;
 
+use crate::ramp;
 use anyhow::{Context, Result, bail};
 use clap::Parser;
 use domelight::output::{check_writable, write_atomically};

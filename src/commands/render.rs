@@ -41,12 +41,12 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     let mut times = Times::default();
 
     let clock = Instant::now();
-    let scene = Arc::new(scene::load(&args.scene_file, &args.load_options())?);
+    let scene = Arc::new(scene::load(&args.input.scene_file, &args.input.load_options())?);
     times.load_s = clock.elapsed().as_secs_f64();
     args.say_warnings(&scene);
 
     let clock = Instant::now();
-    let dome = Arc::new(dome::load::load(&args.dome, args.dome_rotate, args.dome_scale)?);
+    let dome = Arc::new(dome::load::load(&args.input.dome, args.input.dome_rotate, args.input.dome_scale)?);
     times.dome_s = clock.elapsed().as_secs_f64();
     args.say_dome(&dome);
     let setup = Setup { size: settings.size, gloss: scene.needs.gloss, rays: settings.rays };
@@ -59,7 +59,7 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     args.say_scene(&scene, accel.as_ref());
 
     let aspect = settings.size[0] as f32 / settings.size[1] as f32;
-    let camera = args.camera()?.resolve(&scene, aspect)?;
+    let camera = args.input.camera()?.resolve(&scene, aspect)?;
     let view = View::new(&camera, settings.size[0], settings.size[1]);
     let integrator = (make_integrator.make)(&integrator_params)?;
     let progress = Progress::start(args.progress());
@@ -80,8 +80,8 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     let report = Report {
         times,
         params: [&accel_params, &sampler_params, &integrator_params].map(Params::to_string),
-        scene_sha256: sha256_file(&args.scene_file)?,
-        dome_sha256: sha256_file(&args.dome)?,
+        scene_sha256: sha256_file(&args.input.scene_file)?,
+        dome_sha256: sha256_file(&args.input.dome)?,
         seed: settings.seed,
         rays: settings.rays,
         threads,

@@ -12,6 +12,7 @@ use crate::bsdf::{Bsdf, Specular};
 use crate::integrator::ao::cosine_direction;
 use crate::random;
 use crate::registry::Plugin;
+use crate::sampler::shadow_cache::NO_TARGET;
 use crate::sampler::{Draws, Numbers, Point};
 use crate::scene::offset_origin;
 use glam::Vec3;
@@ -209,8 +210,9 @@ impl Shade<'_> {
             if contribution != Vec3::ZERO {
                 let origin = offset_origin(surface.position, surface.error, surface.ng, dir);
                 queue.push(Ray::new(origin, dir), contribution);
-                if !draws.target.is_empty() {
-                    queue.targets.push(u32::MAX);
+                // As many targets as rays, whatever `draws` holds: a mirror has drawn nothing.
+                if self.world.sampler.learns() {
+                    queue.targets.push(NO_TARGET);
                 }
             }
         }

@@ -45,6 +45,8 @@ struct LatLong {
     middles: Vec<[f32; 2]>,
     /// Radians a column.
     step: f32,
+    /// Whether the even part of the sky is left to a partner.
+    compensated: bool,
     prepare_s: f64,
 }
 
@@ -115,6 +117,7 @@ impl LatLong {
             cells,
             middles: (0..grid.width).map(middle).collect(),
             step: (TAU / f64::from(grid.width)) as f32,
+            compensated: compensate,
             prepare_s: begun.elapsed().as_secs_f64(),
         }
     }
@@ -171,6 +174,10 @@ impl DomeSampler for LatLong {
         let (row, column) = ((texel / width) as usize, texel % width);
         let count = self.columns[row].as_ref().map_or(0, |columns| columns.width(column));
         (self.cells[row].density * count as f64) as f32
+    }
+
+    fn needs_partner(&self) -> bool {
+        self.compensated
     }
 
     fn stats(&self) -> SamplerStats {

@@ -2,7 +2,8 @@
 //! to the other. No script from elsewhere, no picture beside it: it can be mailed or kept as a CI artifact.
 
 use super::pair::{Figures, Pair};
-use super::ramp;
+use crate::markup::{data_uri, escape};
+use crate::ramp;
 use anyhow::Result;
 use domelight::output::tonemap::{Curve, srgb_byte};
 use glam::Vec3;
@@ -25,10 +26,11 @@ if(e.key=='d'){$('diff').click()}};";
 pub(super) fn page(pair: &Pair, figures: &Figures, broken: &[String], map: &[f32]) -> Result<String> {
     let shown = |picture: &[Vec3]| -> Result<String> {
         let bytes: Vec<u8> = picture.iter().flat_map(|c| Curve::Neutral.apply(*c).to_array().map(srgb_byte)).collect();
-        Ok(base64(&ramp::encode(&bytes, pair.width)?))
+        data_uri(&bytes, pair.width)
     };
     let [a, b] = [shown(&pair.images[0])?, shown(&pair.images[1])?];
-    let difference = base64(&ramp::png(map, pair.width)?);
+    let heat: Vec<u8> = map.iter().flat_map(|v| ramp::colour(*v)).collect();
+    let difference = data_uri(&heat, pair.width)?;
     let names = [escape(&pair.names[0]), escape(&pair.names[1])];
     let mut rows = String::new();
     for (name, value) in figures.rows() {
@@ -43,55 +45,12 @@ pub(super) fn page(pair: &Pair, figures: &Figures, broken: &[String], map: &[f32
         "<!doctype html><html lang=en><meta charset=utf-8><title>domelight compare</title><style>{STYLE}</style>\
          <h1>{} <small>against</small> {}</h1>{verdict}<table>{rows}</table>\
          <p><input type=range id=s min=0 max=100 value=50 aria-label='wipe from the image to the reference'></p>\
-         <div class=stack><img id=a alt='image' src='data:image/png;base64,{a}'>\
-         <img id=b alt='reference' src='data:image/png;base64,{b}'>\
-         <img id=d alt='HDR-FLIP' src='data:image/png;base64,{difference}'></div>\
+         <div class=stack><img id=a alt='image' src='{a}'>\
+         <img id=b alt='reference' src='{b}'>\
+         <img id=d alt='HDR-FLIP' src='{difference}'></div>\
          <p><label><input type=checkbox id=diff> difference (HDR-FLIP, black 0 to pale yellow 1)</label>. Left of the \
          slider the image, right of it the reference; <kbd>f</kbd> flips, <kbd>d</kbd> shows the difference.</p>\
          <script>{SCRIPT}</script></html>\n",
         names[0], names[1]
     ))
-}
-
-/// Text for HTML and XML, attribute values included; characters XML can't hold become U+FFFD.
-pub(super) fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            c if c < ' ' && !matches!(c, '\n' | '\t') => out.push('\u{fffd}'),
-            c => out.push(c),
-        }
-    }
-    out
-}
-
-/// RFC 4648, with padding.
-fn base64(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for group in bytes.chunks(3) {
-        let word = group.iter().fold(0u32, |w, b| w << 8 | u32::from(*b)) << (8 * (3 - group.len()));
-        for k in 0..4 {
-            let digit = DIGITS[(word >> (18 - 6 * k) & 63) as usize];
-            text.push(if k <= group.len() { digit as char } else { '=' });
-        }
-    }
-    text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn base64_of_the_standards_examples() {
-        for (bytes, text) in [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")] {
-            assert_eq!(base64(bytes.as_bytes()), text);
-        }
-    }
 }

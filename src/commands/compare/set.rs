@@ -1,8 +1,8 @@
 //! Many pairs from a list, one table, and JUnit XML for CI systems. The list's format is in `compare --help`.
 
-use super::page::escape;
 use super::pair::{Figures, Limits, Pair};
 use super::say;
+use crate::markup::escape;
 use anyhow::{Context, Result, bail};
 use domelight::output::write_atomically;
 use std::fmt::Write as _;

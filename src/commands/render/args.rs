@@ -1,7 +1,8 @@
-//! The options of `render`, and what they mean.
+//! The options of `render` beside its [`Input`], and what they mean.
 
 use super::progress::Mode;
 use super::report::Report;
+use crate::commands::input::{Input, size};
 use anyhow::{Result, bail};
 use clap::builder::PossibleValuesParser;
 use domelight::accel::Accel;
@@ -9,55 +10,21 @@ use domelight::dome::Dome;
 use domelight::error::Error;
 use domelight::film::{Aov, Filter};
 use domelight::render::{Background, Settings};
-use domelight::scene::camera::DEFAULT_FOV;
-use domelight::scene::{CameraChoice, LoadOptions, Scene, SceneChoice};
-use glam::Vec3;
+use domelight::scene::Scene;
 use std::io::IsTerminal;
 use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The asset: .glb or .gltf
-    #[arg(value_name = "SCENE")]
-    pub(super) scene_file: PathBuf,
-    /// The dome: lat-long .exr or .hdr, +Y on top, +X in the middle
-    #[arg(long, value_name = "IMAGE")]
-    pub(super) dome: PathBuf,
+    #[command(flatten)]
+    pub(super) input: Input,
     /// Where to write, .exr or .png; may be given several times
     #[arg(short, long, value_name = "FILE")]
     pub(super) output: Vec<PathBuf>,
 
-    /// Turn the dome about +Y, degrees counter-clockwise seen from above
-    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true, help_heading = "Light")]
-    pub(super) dome_rotate: f64,
-    /// Multiply the dome's radiance
-    #[arg(long, value_name = "X", default_value_t = 1.0, allow_hyphen_values = true, help_heading = "Light")]
-    pub(super) dome_scale: f64,
     /// What shows where nothing is hit
     #[arg(long, default_value = "dome", value_parser = PossibleValuesParser::new(["dome", "black", "transparent"]), help_heading = "Light")]
     background: String,
-
-    /// Which of the asset's scenes: name or index
-    #[arg(long, value_name = "NAME|INDEX", help_heading = "Camera")]
-    scene: Option<String>,
-    /// Which of the asset's cameras: name or index (default: the first; none: a framing of the whole scene)
-    #[arg(long, value_name = "NAME|INDEX", help_heading = "Camera", conflicts_with_all = ["eye", "orbit"])]
-    camera: Option<String>,
-    /// A camera standing here
-    #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "look_at", help_heading = "Camera")]
-    eye: Option<Vec3>,
-    /// … looking here
-    #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "eye", help_heading = "Camera")]
-    look_at: Option<Vec3>,
-    /// Vertical field of view, degrees
-    #[arg(long, value_name = "DEG", default_value_t = DEFAULT_FOV, allow_hyphen_values = true, help_heading = "Camera")]
-    fov: f32,
-    /// A camera around the scene: azimuth (0 sees the front) and elevation in degrees, and a distance
-    #[arg(long, value_name = "AZ,EL[,DIST]", value_parser = orbit, allow_hyphen_values = true, conflicts_with = "eye", help_heading = "Camera")]
-    orbit: Option<[Option<f32>; 3]>,
-    /// What the orbiting or framing camera looks at (default: the middle of the scene)
-    #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, conflicts_with_all = ["eye", "camera"], help_heading = "Camera")]
-    target: Option<Vec3>,
 
     /// Size of the image
     #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = size, help_heading = "Image")]
@@ -135,12 +102,7 @@ impl Args {
         if !self.exposure.is_finite() || self.exposure.abs() > 32.0 {
             bail!(Error::Option("--exposure wants stops from -32 to 32".to_owned()));
         }
-        if !(self.dome_scale > 0.0 && self.dome_scale.is_finite()) {
-            bail!(Error::Option("--dome-scale wants a number above 0".to_owned()));
-        }
-        if !self.dome_rotate.is_finite() {
-            bail!(Error::Option("--dome-rotate wants degrees".to_owned()));
-        }
+        self.input.check()?;
         Ok(Settings {
             size: self.size,
             crop,
@@ -169,24 +131,6 @@ impl Args {
         self.aov.iter().map(find).collect()
     }
 
-    pub(super) fn load_options(&self) -> LoadOptions {
-        LoadOptions { scene: self.scene.as_deref().map(|name| SceneChoice::Name(name.to_owned())) }
-    }
-
-    pub(super) fn camera(&self) -> Result<CameraChoice> {
-        let framed = self.orbit.is_some() || self.target.is_some();
-        Ok(match (&self.camera, self.eye, self.look_at) {
-            (Some(name), ..) => CameraChoice::Named(name.clone()),
-            (None, Some(eye), Some(target)) => CameraChoice::LookAt { eye, target, fov: self.fov },
-            _ if framed => {
-                let [azimuth, elevation, distance] = self.orbit.unwrap_or([Some(35.0), Some(20.0), None]);
-                let (azimuth, elevation) = (azimuth.unwrap_or(35.0), elevation.unwrap_or(20.0));
-                CameraChoice::Orbit { azimuth, elevation, distance, target: self.target, fov: self.fov }
-            }
-            _ => CameraChoice::First,
-        })
-    }
-
     pub(super) fn threads(&self) -> usize {
         let all = std::thread::available_parallelism().map_or(1, usize::from);
         self.threads.map_or(all, usize::from)
@@ -205,7 +149,7 @@ impl Args {
     pub(super) fn say_warnings(&self, scene: &Scene) {
         if !self.quiet {
             for warning in &scene.warnings {
-                eprintln!("domelight: {}: {warning}", self.scene_file.display());
+                eprintln!("domelight: {}: {warning}", self.input.scene_file.display());
             }
         }
     }
@@ -223,7 +167,7 @@ impl Args {
             }
         }
         if !self.quiet && !repaired.is_empty() {
-            eprintln!("domelight: {}: {}", self.dome.display(), repaired.join(", "));
+            eprintln!("domelight: {}: {}", self.input.dome.display(), repaired.join(", "));
         }
         if self.verbose {
             eprintln!("dome       {} × {} texels", dome.grid.width, dome.grid.height);
@@ -274,33 +218,6 @@ impl Args {
             );
         }
     }
-}
-
-fn vector(text: &str) -> Result<Vec3, String> {
-    let parts: Vec<f32> = numbers(text)?;
-    let [x, y, z] = parts[..] else { return Err("three numbers X,Y,Z are wanted".to_owned()) };
-    Ok(Vec3::new(x, y, z))
-}
-
-fn orbit(text: &str) -> Result<[Option<f32>; 3], String> {
-    match numbers(text)?[..] {
-        [azimuth, elevation] => Ok([Some(azimuth), Some(elevation), None]),
-        [azimuth, elevation, distance] if distance > 0.0 => Ok([Some(azimuth), Some(elevation), Some(distance)]),
-        _ => Err("AZ,EL or AZ,EL,DIST is wanted, DIST above 0".to_owned()),
-    }
-}
-
-fn numbers(text: &str) -> Result<Vec<f32>, String> {
-    let finite = |part: &str| part.trim().parse::<f32>().ok().filter(|v| v.is_finite());
-    text.split(',').map(|part| finite(part).ok_or_else(|| format!("'{part}' is not a finite number"))).collect()
-}
-
-fn size(text: &str) -> Result<[u32; 2], String> {
-    let wrong = || "WIDTHxHEIGHT is wanted, each from 1 to 65536, 268 million pixels at most".to_owned();
-    let (width, height) = text.split_once(['x', '×']).ok_or_else(wrong)?;
-    let side = |text: &str| text.parse().ok().filter(|side| (1..=65536).contains(side)).ok_or_else(wrong);
-    let size: [u32; 2] = [side(width)?, side(height)?];
-    if u64::from(size[0]) * u64::from(size[1]) > 1 << 28 { Err(wrong()) } else { Ok(size) }
 }
 
 fn crop(text: &str) -> Result<[u32; 4], String> {

@@ -16,7 +16,7 @@ const STOPS: [[f32; 3]; 8] = [
 ];
 
 /// The colour of a value, 0 to 1.
-pub(super) fn colour(value: f32) -> [u8; 3] {
+pub(crate) fn colour(value: f32) -> [u8; 3] {
     let at = value.clamp(0.0, 1.0) * (STOPS.len() - 1) as f32;
     // NaN casts to 0.
     let stop = (at as usize).min(STOPS.len() - 2);
@@ -25,13 +25,13 @@ pub(super) fn colour(value: f32) -> [u8; 3] {
 }
 
 /// A map as a PNG.
-pub(super) fn png(map: &[f32], width: usize) -> ImageResult<Vec<u8>> {
+pub(crate) fn png(map: &[f32], width: usize) -> ImageResult<Vec<u8>> {
     let bytes: Vec<u8> = map.iter().flat_map(|v| colour(*v)).collect();
     encode(&bytes, width)
 }
 
 /// RGB bytes as a PNG.
-pub(super) fn encode(bytes: &[u8], width: usize) -> ImageResult<Vec<u8>> {
+pub(crate) fn encode(bytes: &[u8], width: usize) -> ImageResult<Vec<u8>> {
     let mut png = Vec::new();
     let height = bytes.len() / 3 / width.max(1);
     PngEncoder::new(&mut png).write_image(bytes, width as u32, height as u32, ExtendedColorType::Rgb8)?;
