@@ -3,7 +3,7 @@
 # the system: the packages are fetched by apt (its sources are this machine's own, with the suite replaced), unpacked,
 # and the tests run under Debian 13's dynamic loader. Takes 13 MB of downloads and 60 MB of disk.
 #
-#   .ci/embree4.sh [directory]        default: target/embree4; fails where the mirror has no trixie
+#   .ci/embree4.sh [directory]        default: target/embree4; exit code 3 where the packages can't be had
 set -eu
 root=$(cd "$(dirname "$0")/.." && pwd)
 dir=${1:-$root/target/embree4}
@@ -17,7 +17,7 @@ for file in /etc/apt/sources.list.d/*.sources; do
 done
 sed -i 's/bookworm/trixie/g' apt/trixie.sources
 grep -h '^deb .*bookworm' /etc/apt/sources.list 2>/dev/null | sed 's/bookworm/trixie/g' >apt/trixie.list || true
-[ -s apt/trixie.sources ] || [ -s apt/trixie.list ] || { echo "no Debian source found in /etc/apt" >&2; exit 1; }
+[ -s apt/trixie.sources ] || [ -s apt/trixie.list ] || { echo "no Debian source found in /etc/apt" >&2; exit 3; }
 mkdir -p apt/parts && mv apt/trixie.sources apt/trixie.list apt/parts/ 2>/dev/null || true
 
 cat >apt/apt.conf <<CONF
@@ -28,9 +28,9 @@ Dir::State::status "/var/lib/dpkg/status";
 Dir::Cache "$dir/apt/cache";
 APT::Sandbox::User "$(id -un)";
 CONF
-apt-get -c apt/apt.conf -qq update
+apt-get -c apt/apt.conf -qq update || exit 3
 (cd debs && apt-get -c ../apt/apt.conf -qq download libembree-dev/trixie libembree4-4/trixie libtbb12/trixie \
-    libtbbmalloc2/trixie libtbbbind-2-5/trixie libhwloc15/trixie libc6/trixie libstdc++6/trixie libgcc-s1/trixie)
+    libtbbmalloc2/trixie libtbbbind-2-5/trixie libhwloc15/trixie libc6/trixie libstdc++6/trixie libgcc-s1/trixie) || exit 3
 for deb in debs/*.deb; do dpkg -x "$deb" prefix; done
 
 lib=$dir/prefix/usr/lib/x86_64-linux-gnu

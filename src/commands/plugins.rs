@@ -3,6 +3,7 @@
 use anyhow::Result;
 use clap::Parser;
 use domelight::accel::ACCELS;
+use domelight::integrator::INTEGRATORS;
 use domelight::output::OUTPUTS;
 use domelight::registry::{Plugin, describe};
 use domelight::sampler::SAMPLERS;
@@ -28,6 +29,7 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     // One line a kind: a new kind is listed by adding it here.
     add("Accelerators (--accel)", describe(ACCELS), markdown(ACCELS));
     add("Samplers (--sampler)", describe(SAMPLERS), markdown(SAMPLERS));
+    add("Integrators (--integrator)", describe(INTEGRATORS), markdown(INTEGRATORS));
     add("Outputs (by file extension)", describe(OUTPUTS), markdown(OUTPUTS));
     match io::stdout().write_all(text.as_bytes()) {
         Err(e) if e.kind() == io::ErrorKind::BrokenPipe => Ok(0),
