@@ -115,9 +115,9 @@ impl ShadowCache {
     fn nearest(&self, block: usize, key: u32) -> Option<usize> {
         let slots = block * SLOTS..(block + 1) * SLOTS;
         let alike = slots.filter(|&slot| self.frozen[slot] & 7 == key & 7 && self.frozen[slot] != 0);
-        alike.min_by_key(|&slot| (self.frozen[slot] >> 3).abs_diff(key >> 3)).filter(|&slot| {
-            (self.frozen[slot] >> 3).abs_diff(key >> 3) <= NEAR
-        })
+        alike
+            .min_by_key(|&slot| (self.frozen[slot] >> 3).abs_diff(key >> 3))
+            .filter(|&slot| (self.frozen[slot] >> 3).abs_diff(key >> 3) <= NEAR)
     }
 
     /// Where the rays of a point are counted: the index of its first group, [`NO_TARGET`] when its block is full.
