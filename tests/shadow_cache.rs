@@ -156,8 +156,8 @@ fn a_fresh_cache_while_it_learns() {
 
 #[test]
 fn a_warm_cache() {
-    // Few samples have long tails where the cache is sure: with twelve one open pixel misses its rare ray (z = −5.4),
-    // while the whole picture is right.
+    // Not twelve: with these seeds one open pixel of 1024 then stands out (z = −5.4), the whole picture does not. Long
+    // tails where the cache is sure of itself are the likely cause, not a proven one.
     assert_unbiased("twenty samples", 20, |_, _, _| ());
 }
 
