@@ -1,4 +1,5 @@
 //! The main job through the program itself: an asset and a dome become images, and what is wrong becomes an error.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use assert_cmd::Command;
 use domelight::output::{Frame, read};

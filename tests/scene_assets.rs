@@ -1,4 +1,5 @@
 //! The shared asset set: every file loads with the triangles its manifest counts, or says what is in its way.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod scene_support;
 

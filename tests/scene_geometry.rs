@@ -1,4 +1,5 @@
 //! What a file says is where it says: accessors, topology, mirroring, poses, normal maps, and how exactly a hit is known.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod scene_support;
 

@@ -1,4 +1,5 @@
 //! Damaged and hostile files: each an error that names the file, the place and the way out, never a panic.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod scene_support;
 

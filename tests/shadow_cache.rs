@@ -1,5 +1,6 @@
 //! The shadow cache may cost variance, never bias, whatever it holds: renders with a cold, a warm, a stale, an all-zero,
 //! an all-one and a random cache against brute force, pixel by pixel. And an image does not depend on threads or tiles.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod support;
 

@@ -63,7 +63,7 @@ impl Output for Exr {
     }
 }
 
-/// UTF-8 as it is: [`super::read`] reads it back, older tools see Latin-1.
+/// UTF-8 as it is: [`super::read()`] reads it back, older tools see Latin-1.
 fn text(value: &str) -> Text {
     Text::from_slice_unchecked(value.as_bytes())
 }

@@ -184,7 +184,7 @@ impl DomeCells {
 }
 
 impl Cells for DomeCells {
-    fn len(&self) -> usize {
+    fn count(&self) -> usize {
         self.width as usize * self.height as usize
     }
 
@@ -216,7 +216,7 @@ mod tests {
     fn a_direction_lies_in_its_cell_and_is_of_unit_length() {
         for (w, h) in [(1, 1), (2, 1), (3, 7), (512, 256), (1023, 511)] {
             let c = cells(w, h, 33.0);
-            for cell in (0..c.len() as u32).step_by(1 + c.len() / 2000) {
+            for cell in (0..c.count() as u32).step_by(1 + c.count() / 2000) {
                 for (x, y) in [(0.5, 0.5), (0.01, 0.01), (0.99, 0.99), (0.01, 0.99)] {
                     let (dir, _) = c.direction(c.locate(cell), x, y);
                     assert!((dir.length() - 1.0).abs() < 1e-6, "{w}×{h} cell {cell}: {}", dir.length());
@@ -232,7 +232,7 @@ mod tests {
     #[test]
     fn mean_directions_are_the_means_of_directions() {
         let c = cells(3, 7, 10.0);
-        for cell in [0, 5000, 77_777, c.len() as u32 - 1] {
+        for cell in [0, 5000, 77_777, c.count() as u32 - 1] {
             let mut sum = DVec3::ZERO;
             for i in 0..64 {
                 for j in 0..64 {
@@ -241,7 +241,7 @@ mod tests {
             }
             assert!((sum / 4096.0 - c.mean_direction(cell)).length() < 1e-6, "cell {cell}");
         }
-        let total: f64 = (0..c.len() as u32).map(|cell| c.solid_angle(cell)).sum();
+        let total: f64 = (0..c.count() as u32).map(|cell| c.solid_angle(cell)).sum();
         assert!((total / (4.0 * PI) - 1.0).abs() < 1e-12);
     }
 }

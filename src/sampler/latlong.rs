@@ -6,7 +6,7 @@
 //! it is biased**, its density is 0 where the dome is dimmer than its mean: the integrator pairs it with cosine (or
 //! BSDF) sampling by the balance heuristic, for which [`DomeSampler::pdf`] gives the true density, 0 included.
 //!
-//! No trigonometry and no logarithmic search a sample: see [`Table`]; a texel's middle is tabulated as sine and cosine,
+//! No trigonometry and no logarithmic search a sample: see `sampler::table`; a texel's middle is tabulated as sine and cosine,
 //! and the way from there is a short polynomial.
 
 use super::table::Table;

@@ -109,7 +109,7 @@ impl Tessellated {
 
         let mut places = Vec::new();
         if setup.gloss {
-            places = vec![(u32::MAX, 0); cells.len()];
+            places = vec![(u32::MAX, 0); cells.count()];
             for (slot, leaf) in leaves.iter().enumerate() {
                 for at in leaf.begin..leaf.end {
                     places[tessellation.cells[at as usize] as usize] = (at, slot as u32);
@@ -342,7 +342,7 @@ mod tests {
         for n in [Vec3::Y, Vec3::X, Vec3::new(0.48, -0.6, 0.64)] {
             sampler.draw(&point(n, 1), 16, &mut draws);
             let mut sum = 0.0;
-            for cell in 0..sampler.cells.len() as u32 {
+            for cell in 0..sampler.cells.count() as u32 {
                 let (dir, _) = sampler.cells.direction(sampler.cells.locate(cell), 0.5, 0.5);
                 let pdf = sampler.pdf(&point(n, 1), &draws, dir, dome.grid.texel(dir));
                 sum += f64::from(pdf) * sampler.cells.solid_angle(cell);

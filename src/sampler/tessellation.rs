@@ -22,7 +22,7 @@ const DEEPEST: u32 = 28;
 /// The image's cells as the tessellation sees them.
 pub trait Cells: Sync {
     /// How many there are.
-    fn len(&self) -> usize;
+    fn count(&self) -> usize;
     /// The direction of a cell's centre.
     fn center(&self, cell: u32) -> DVec3;
     /// Its energy: scalar weight × solid angle; 0 for a black cell, which no triangle takes.
@@ -220,7 +220,7 @@ fn sort_into_faces(cells: &impl Cells) -> (Vec<u32>, Vec<Node>) {
     let inward = |p: DVec3, q: DVec3, inside: DVec3| p.cross(q) * p.cross(q).dot(inside).signum();
     let sides: Vec<[DVec3; 3]> =
         faces.iter().map(|&[a, b, c]| [inward(a, b, c), inward(b, c, a), inward(c, a, b)]).collect();
-    let face_of: Vec<(u8, f64)> = (0..cells.len() as u32)
+    let face_of: Vec<(u8, f64)> = (0..cells.count() as u32)
         .into_par_iter()
         .with_min_len(4096)
         .map(|cell| {
@@ -304,7 +304,7 @@ mod tests {
     }
 
     impl Cells for Sphere {
-        fn len(&self) -> usize {
+        fn count(&self) -> usize {
             self.directions.len()
         }
         fn center(&self, cell: u32) -> DVec3 {
@@ -347,7 +347,7 @@ mod tests {
     fn leaves_partition_the_lit_cells_and_the_sun_gets_its_own() {
         let cells = fibonacci(20_000);
         let t = Tessellation::new(&cells, 128, 2000);
-        let mut seen = vec![0; cells.len()];
+        let mut seen = vec![0; cells.count()];
         for leaf in &t.leaves {
             for &cell in &t.cells[leaf.clone()] {
                 seen[cell as usize] += 1;

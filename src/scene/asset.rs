@@ -59,7 +59,7 @@ impl Warnings {
 pub(super) struct Asset {
     pub(super) path: PathBuf,
     pub(super) root: Root,
-    /// Each buffer's bytes, cut to its `byteLength`; empty for one nobody can read (see [`Asset::slice`]).
+    /// Each buffer's bytes, cut to its `byteLength`; empty for one nobody can read .
     buffers: Vec<std::result::Result<Vec<u8>, String>>,
 }
 
