@@ -256,7 +256,8 @@ impl LeafCounts {
     #[inline(always)]
     pub(super) fn new(leaves: &Moments, group: usize, n: Vec3) -> Self {
         let first = group * LEAVES_A_GROUP;
-        let [x, y, z, s, r] = [&leaves.x, &leaves.y, &leaves.z, &leaves.s, &leaves.r].map(|row| leaves_of(row, first));
+        let (x, y, z) = (leaves_of(&leaves.x, first), leaves_of(&leaves.y, first), leaves_of(&leaves.z, first));
+        let (s, r) = (leaves_of(&leaves.s, first), leaves_of(&leaves.r, first));
         let mut e = [0.0f32; LEAVES_A_GROUP];
         let mut high = [0u8; LEAVES_A_GROUP];
         for i in 0..LEAVES_A_GROUP {

@@ -109,8 +109,8 @@ impl Weights {
             if status[g] == BELOW && importance[g] > notable {
                 let leaves = &triangles.leaves;
                 let first = g * LEAVES_A_GROUP;
-                let [x, y, z, s, r] =
-                    [&leaves.x, &leaves.y, &leaves.z, &leaves.s, &leaves.r].map(|row| leaves_of(row, first));
+                let (x, y, z) = (leaves_of(&leaves.x, first), leaves_of(&leaves.y, first), leaves_of(&leaves.z, first));
+                let (s, r) = (leaves_of(&leaves.s, first), leaves_of(&leaves.r, first));
                 let [rx, ry, rz, gx, gy, gz, bx, by, bz] = leaves.rgb.each_ref().map(|row| leaves_of(row, first));
                 let mut e = [0.0f32; LEAVES_A_GROUP];
                 let mut exact = [[0.0f32; LEAVES_A_GROUP]; 3];
