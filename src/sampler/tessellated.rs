@@ -94,8 +94,10 @@ impl Tessellated {
     fn new(dome: &Arc<Dome>, params: &Params, setup: &Setup) -> Result<Self> {
         let start = Instant::now();
         let cells = DomeCells::new(Arc::clone(dome));
-        let groups = params.integer("groups").unwrap_or(512) as usize;
-        let triangles = (params.integer("triangles").unwrap_or(24576) as usize).max(groups);
+        // Every group is weighed at every point: as many as its rays can pay for.
+        let affordable = (16 * u64::from(setup.rays)).next_power_of_two().clamp(128, 512);
+        let groups = params.integer("groups").unwrap_or(affordable) as usize;
+        let triangles = params.integer("triangles").map_or(groups * LEAVES_A_GROUP, |t| t as usize).max(groups);
         let tessellation = Tessellation::new(&cells, groups, triangles);
         let preconvolved = Preconvolution::new(&cells, &tessellation);
 
@@ -319,7 +321,7 @@ mod tests {
 
     fn sampler(dome: &Arc<Dome>, spec: &str) -> Tessellated {
         let (_, params) = resolve("sampler", &[PLUGIN], spec).unwrap();
-        Tessellated::new(dome, &params, &Setup { size: [64, 64], gloss: true, rays: 16 }).unwrap()
+        Tessellated::new(dome, &params, &Setup { size: [64, 64], gloss: true, rays: 64 }).unwrap()
     }
 
     fn point(ns: Vec3, seed: u32) -> Point {
