@@ -284,8 +284,8 @@ impl LeafCounts {
         let total = sum(e);
         let scale = if total > 0.0 { LEAF_COUNTS / total } else { 0.0 };
         let mut result = Self::default();
-        for i in 0..LEAVES_A_GROUP {
-            result.widths[i] = (e[i] * scale) as i32 as u32 + if e[i] > 0.0 { 1 } else { 0 };
+        for (width, &e) in result.widths.iter_mut().zip(e) {
+            *width = (e * scale) as i32 as u32 + if e > 0.0 { 1 } else { 0 };
         }
         let mut lanes = [0u32; LEAF_LANES];
         let (begins, _) = result.begins.as_chunks_mut::<LEAF_LANES>();
