@@ -1,10 +1,8 @@
 //! What surfaces and domes look like, held against arithmetic that shares nothing with the renderer: a white furnace,
 //! glTF's formula integrated numerically, and domes whose orientation can be seen.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
-
-mod support;
-
+use crate::support::render::{Shot, microscope, pixels, scene, sheet, square, white};
+use crate::support::samplers::{dome as dome_of, sampler};
 use assert_cmd::Command;
 use domelight::accel;
 use domelight::dome::{self, Dome};
@@ -14,8 +12,6 @@ use glam::{DVec3, Vec3, Vec4};
 use std::f64::consts::{LN_2, PI, TAU};
 use std::path::Path;
 use std::sync::Arc;
-use support::render::{Shot, microscope, pixels, scene, sheet, square, white};
-use support::samplers::{dome as dome_of, sampler};
 
 /// Renders one mesh and gives the mean over pixels and seeds with its standard error, a channel each.
 fn mean(spec: &str, mesh: &Mesh, material: &Material, dome: &Arc<Dome>, camera: &Camera) -> (DVec3, DVec3) {
