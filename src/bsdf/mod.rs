@@ -101,3 +101,82 @@ impl Specular {
 fn schlick(cosine: f32, f0: f32, f90: f32) -> f32 {
     f0 + (f90 - f0) * (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random;
+    use std::f64::consts::PI;
+
+    /// Appendix B of glTF 2.0 as it stands there, in f64 and in the words of that text.
+    fn appendix_b(base: f64, metallic: f64, roughness: f64, v: [f64; 3], l: [f64; 3]) -> f64 {
+        let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        let sum = [v[0] + l[0], v[1] + l[1], v[2] + l[2]];
+        let h = sum.map(|c| c / dot(sum, sum).sqrt());
+        let a2 = roughness.powi(4);
+        let d = a2 / (PI * (h[2] * h[2] * (a2 - 1.0) + 1.0).powi(2));
+        let root = |a: f64, b: f64| a * (b * b * (1.0 - a2) + a2).sqrt();
+        let visibility = 0.5 / (root(l[2], v[2]) + root(v[2], l[2]));
+        let specular = visibility * d;
+        let fresnel = (1.0 - dot(v, h).abs()).powi(5);
+        let metal = specular * (base + (1.0 - base) * fresnel);
+        let f = 0.04 + (1.0 - 0.04) * fresnel;
+        let dielectric = (1.0 - f) * base / PI + f * specular;
+        (1.0 - metallic) * dielectric + metallic * metal
+    }
+
+    /// What comes back from a white sky, by quadrature over the specification's formula and by our own directions.
+    #[test]
+    fn albedo_is_the_specifications_over_roughness_and_metallic() {
+        for roughness in [0.2f32, 0.5, 1.0] {
+            for metallic in [0.0f32, 0.5, 1.0] {
+                for cosine in [0.25f32, 0.9] {
+                    let wo = Vec3::new((1.0 - cosine * cosine).sqrt(), 0.0, cosine);
+                    let base = 0.6f32;
+                    let (mut reference, steps) = (0.0, 500);
+                    for i in 0..steps {
+                        // Fine at the horizon and about the mirror direction alike: z = 1 − t² spreads what is narrow.
+                        let z = 1.0 - ((f64::from(i) + 0.5) / f64::from(steps)).powi(2);
+                        let dz = 2.0 * (f64::from(i) + 0.5) / f64::from(steps) / f64::from(steps);
+                        let ring = (1.0 - z * z).sqrt();
+                        for k in 0..steps {
+                            let phi = 2.0 * PI * (f64::from(k) + 0.5) / f64::from(steps);
+                            let l = [ring * phi.cos(), ring * phi.sin(), z];
+                            let v = wo.to_array().map(f64::from);
+                            let f = appendix_b(f64::from(base), f64::from(metallic), f64::from(roughness), v, l);
+                            reference += f * z * dz * 2.0 * PI / f64::from(steps);
+                        }
+                    }
+                    let surface = Surface {
+                        position: Vec3::ZERO,
+                        error: 0.0,
+                        ng: Vec3::Z,
+                        ns: Vec3::Z,
+                        base_color: Vec3::splat(base),
+                        metallic,
+                        roughness,
+                        dielectric_f0: Vec3::splat(0.04),
+                        dielectric_f90: 1.0,
+                        emission: Vec3::ZERO,
+                        unlit: false,
+                    };
+                    let bsdf = Bsdf::new(&surface);
+                    let lobe = bsdf.specular.unwrap();
+                    let n = 1 << 16;
+                    let mut own = 0.0;
+                    for i in 0..n {
+                        let u = random::sobol2(i, 3);
+                        let diffuse = crate::integrator::ao::cosine_direction(u);
+                        own += f64::from(bsdf.eval_diffuse(wo, diffuse).x) * PI;
+                        own +=
+                            ggx::sample(&lobe, wo, u.map(random::unit)).map_or(0.0, |(.., weight)| f64::from(weight.x));
+                    }
+                    own /= f64::from(n);
+                    let what = format!("roughness {roughness}, metallic {metallic}, cosine {cosine}");
+                    assert!((own / reference - 1.0).abs() < 3e-3, "{what}: {own} against {reference}");
+                    assert!(own <= 1.0, "{what}: energy gained, {own}");
+                }
+            }
+        }
+    }
+}

@@ -47,3 +47,37 @@ impl Dome {
         luminance.max((r + g + b) * (1.0 / 3.0))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Six axes, six colours: what a turned dome shows where.
+    #[test]
+    fn a_turned_dome_shows_its_axes_where_the_convention_says() {
+        let axes = [Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z];
+        let colour = |axis: usize| Vec3::splat(1.0 + axis as f32);
+        let dome = |degrees: f64| {
+            let plain = Grid::new(64, 32, 0.0);
+            let mut texels = vec![[0.0; 3]; plain.len()];
+            for (i, axis) in axes.iter().enumerate() {
+                // A patch about the axis: an axis itself lies on the corner of four texels.
+                for nudge in axes {
+                    let dir = (axis + 0.07 * nudge + 0.05 * Vec3::ONE).normalize();
+                    texels[plain.texel(dir) as usize] = colour(i).to_array();
+                }
+            }
+            Dome { grid: Grid { rotation: f64::to_radians(degrees), ..plain }, texels, faults: Faults::default() }
+        };
+        let seen = |dome: &Dome, turn: &dyn Fn(Vec3) -> Vec3, axis: Vec3| {
+            dome.lookup(turn((axis + 0.05 * Vec3::ONE).normalize())).0
+        };
+        for (i, axis) in axes.iter().enumerate() {
+            assert_eq!(seen(&dome(0.0), &|d| d, *axis), colour(i), "{axis}");
+            // 90° takes +X to −Z, −Z to −X: a direction's (x, z) to (z, −x).
+            let turn = |d: Vec3| Vec3::new(d.z, d.y, -d.x);
+            assert_eq!(seen(&dome(90.0), &turn, *axis), colour(i), "{axis} turned");
+        }
+        assert_eq!(dome(90.0).lookup(Vec3::new(0.05, 0.05, -1.0).normalize()).0, colour(0), "+X is seen towards −Z");
+    }
+}

@@ -3,7 +3,7 @@
 //! Each level is a loop of its own over the block: what is arithmetic runs in vector registers, what waits for memory
 //! (the search in a leaf's cells) has a block of independent searches in flight.
 
-use super::weights::{HIGH, Weights, sum};
+use super::weights::{HIGH, Weights, leaves_of, sum};
 use super::{Leaf, Tessellated};
 use crate::random;
 use crate::sampler::Numbers;
@@ -255,16 +255,19 @@ impl LeafCounts {
     /// By irradiance on a surface with normal `n`.
     #[inline(always)]
     pub(super) fn new(leaves: &Moments, group: usize, n: Vec3) -> Self {
-        let range = group * LEAVES_A_GROUP..(group + 1) * LEAVES_A_GROUP;
-        let row = |row: &'_ [f32]| -> [f32; LEAVES_A_GROUP] {
-            row[range.clone()].try_into().expect("a group has that many slots")
-        };
-        let [x, y, z, s, r] = [&leaves.x, &leaves.y, &leaves.z, &leaves.s, &leaves.r].map(|all| row(all));
-        let d: [f32; LEAVES_A_GROUP] = std::array::from_fn(|i| n.x * x[i] + n.y * y[i] + n.z * z[i]);
-        let e: [f32; LEAVES_A_GROUP] = std::array::from_fn(|i| soft(d[i], s[i], r[i]));
-        let mut above = 0;
+        let first = group * LEAVES_A_GROUP;
+        let (x, y, z) = (leaves_of(&leaves.x, first), leaves_of(&leaves.y, first), leaves_of(&leaves.z, first));
+        let (s, r) = (leaves_of(&leaves.s, first), leaves_of(&leaves.r, first));
+        let mut e = [0.0f32; LEAVES_A_GROUP];
+        let mut high = [0u8; LEAVES_A_GROUP];
         for i in 0..LEAVES_A_GROUP {
-            above |= u64::from(d[i] >= s[i]) << i;
+            let d = n.x * x[i] + n.y * y[i] + n.z * z[i];
+            e[i] = soft(d, s[i], r[i]);
+            high[i] = if d >= s[i] { 1 } else { 0 };
+        }
+        let mut above = 0;
+        for (i, &high) in high.iter().enumerate() {
+            above |= u64::from(high) << i;
         }
         Self { above, ..Self::from_weights(&e) }
     }
@@ -280,10 +283,10 @@ impl LeafCounts {
     fn from_weights(e: &[f32; LEAVES_A_GROUP]) -> Self {
         let total = sum(e);
         let scale = if total > 0.0 { LEAF_COUNTS / total } else { 0.0 };
-        let mut result = Self {
-            widths: std::array::from_fn(|i| (e[i] * scale) as i32 as u32 + if e[i] > 0.0 { 1 } else { 0 }),
-            ..Self::default()
-        };
+        let mut result = Self::default();
+        for i in 0..LEAVES_A_GROUP {
+            result.widths[i] = (e[i] * scale) as i32 as u32 + if e[i] > 0.0 { 1 } else { 0 };
+        }
         let mut lanes = [0u32; LEAF_LANES];
         let (begins, _) = result.begins.as_chunks_mut::<LEAF_LANES>();
         let (widths, _) = result.widths.as_chunks::<LEAF_LANES>();

@@ -12,9 +12,9 @@ const GROUP_COUNTS: f32 = 1_073_741_824.0;
 /// The least a group's importance is scaled down to, where the cache is sure of its visibility.
 const FLOOR: f32 = 0.05;
 
-/// Groups of the horizon are summed up leaf by leaf where they hold more than this share, divided by the rays: the more
-/// rays, the more it pays to know.
-const NOTABLE: f32 = 6.4e-4;
+/// Groups of the horizon are summed up leaf by leaf where they hold more than a share that falls with the rays: the more
+/// rays, the more it pays to know. (The share is this over the square of the rays.)
+const NOTABLE: f32 = 4e-2;
 
 /// The control variate leaves the group out: below the horizon, or crossing it with next to no light.
 pub(super) const BELOW: u8 = 0;
@@ -104,23 +104,27 @@ impl Weights {
             status[g] = if d >= s[g] { ABOVE } else { BELOW } + if d >= 3.0 * s[g] { HIGH - ABOVE } else { 0 };
         }
         // The horizon's groups, leaf by leaf where that matters.
-        let notable = NOTABLE / self.rays as f32 * sum(importance);
+        let notable = NOTABLE / (self.rays as f32 * self.rays as f32) * sum(importance);
         for g in 0..count {
             if status[g] == BELOW && importance[g] > notable {
                 let leaves = &triangles.leaves;
-                let range = g * LEAVES_A_GROUP..(g + 1) * LEAVES_A_GROUP;
-                let row = |row: &'_ [f32]| -> [f32; LEAVES_A_GROUP] {
-                    row[range.clone()].try_into().expect("a group has that many slots")
-                };
-                let [x, y, z, s, r] = [&leaves.x, &leaves.y, &leaves.z, &leaves.s, &leaves.r].map(|all| row(all));
-                let d: [f32; LEAVES_A_GROUP] = std::array::from_fn(|i| n.x * x[i] + n.y * y[i] + n.z * z[i]);
-                importance[g] = sum(&std::array::from_fn::<_, LEAVES_A_GROUP, _>(|i| soft(d[i], s[i], r[i])));
-                status[g] = CROSSING;
-                for (channel, total) in [&mut red[g], &mut green[g], &mut blue[g]].into_iter().enumerate() {
-                    let [x, y, z] = [0, 1, 2].map(|axis| row(&leaves.rgb[3 * channel + axis]));
-                    let exact = |i: usize| if d[i] >= s[i] { n.x * x[i] + n.y * y[i] + n.z * z[i] } else { 0.0 };
-                    *total = sum(&std::array::from_fn::<_, LEAVES_A_GROUP, _>(exact));
+                let first = g * LEAVES_A_GROUP;
+                let (x, y, z) = (leaves_of(&leaves.x, first), leaves_of(&leaves.y, first), leaves_of(&leaves.z, first));
+                let (s, r) = (leaves_of(&leaves.s, first), leaves_of(&leaves.r, first));
+                let [rx, ry, rz, gx, gy, gz, bx, by, bz] = leaves.rgb.each_ref().map(|row| leaves_of(row, first));
+                let mut e = [0.0f32; LEAVES_A_GROUP];
+                let mut exact = [[0.0f32; LEAVES_A_GROUP]; 3];
+                for i in 0..LEAVES_A_GROUP {
+                    let d = n.x * x[i] + n.y * y[i] + n.z * z[i];
+                    let on = if d >= s[i] { 1.0 } else { 0.0 };
+                    e[i] = soft(d, s[i], r[i]);
+                    exact[0][i] = on * (n.x * rx[i] + n.y * ry[i] + n.z * rz[i]);
+                    exact[1][i] = on * (n.x * gx[i] + n.y * gy[i] + n.z * gz[i]);
+                    exact[2][i] = on * (n.x * bx[i] + n.y * by[i] + n.z * bz[i]);
                 }
+                importance[g] = sum(&e);
+                status[g] = CROSSING;
+                (red[g], green[g], blue[g]) = (sum(&exact[0]), sum(&exact[1]), sum(&exact[2]));
             }
         }
         self.normal = n;
@@ -176,6 +180,12 @@ impl Weights {
 #[inline(always)]
 fn about_sqrt(x: f32) -> f32 {
     f32::from_bits((x.to_bits() >> 1) + 0x1fbb_4f2e)
+}
+
+/// A group's piece of a row of leaves.
+#[inline(always)]
+pub(super) fn leaves_of(row: &[f32], first: usize) -> &[f32; LEAVES_A_GROUP] {
+    row[first..first + LEAVES_A_GROUP].try_into().expect("a group has that many slots")
 }
 
 /// A scalar product over sixteen lanes.
