@@ -39,4 +39,4 @@ loader=$(find "$dir/prefix" -name 'ld-linux-x86-64.so.2' | head -n 1)
 cd "$root"
 EMBREE_DIR=$dir/prefix/usr \
     CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER="$loader --library-path $lib:$dir/prefix/lib/x86_64-linux-gnu" \
-    cargo test --target-dir "${CARGO_TARGET_DIR:-target}" --test accel_conformance
+    cargo test --target-dir "${CARGO_TARGET_DIR:-target}" --test rendering accelerators::

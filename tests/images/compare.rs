@@ -1,7 +1,5 @@
 //! `domelight compare` from the outside: figures, exit codes, files.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
-
 use assert_cmd::Command;
 use domelight::output::{self, Frame, Layer};
 use std::fs;

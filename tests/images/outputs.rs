@@ -1,7 +1,5 @@
 //! Pictures written and read back: layers, windows, metadata, transparency, errors.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
-
 use domelight::output::{self, Frame, Layer};
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -2,8 +2,6 @@
 //! goes through (after Mitsuba 3's): observed counts over cells of the sphere against the integral of the density over
 //! them, sparse cells pooled, Šidák's correction over all runs.
 
-#![allow(unreachable_pub, reason = "shared by several test binaries")]
-
 use domelight::bsdf::Bsdf;
 use domelight::dome::project::Grid;
 use domelight::dome::{Dome, Faults};
@@ -15,18 +13,18 @@ use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
 /// A uniform number that depends on its words only.
-pub fn unit(words: &[u32]) -> f64 {
+pub(crate) fn unit(words: &[u32]) -> f64 {
     f64::from(random::hash(words)) / 4_294_967_296.0
 }
 
 /// A dome whose texel (column, row) is `value`.
-pub fn dome(width: u32, height: u32, value: impl Fn(u32, u32) -> [f32; 3]) -> Arc<Dome> {
+pub(crate) fn dome(width: u32, height: u32, value: impl Fn(u32, u32) -> [f32; 3]) -> Arc<Dome> {
     let texels = (0..width * height).map(|i| value(i % width, i / width)).collect();
     Arc::new(Dome { grid: Grid::new(width, height, 0.0), texels, faults: Faults::default() })
 }
 
 /// The domes of the χ² study.
-pub fn study_domes() -> Vec<(&'static str, Arc<Dome>)> {
+pub(crate) fn study_domes() -> Vec<(&'static str, Arc<Dome>)> {
     let noise = |x: u32, y: u32| [0, 1, 2].map(|k| (-4.0 * unit(&[x, y, k]).ln()).powi(3) as f32);
     vec![
         ("constant", dome(32, 16, |_, _| [1.0; 3])),
@@ -39,7 +37,7 @@ pub fn study_domes() -> Vec<(&'static str, Arc<Dome>)> {
 }
 
 /// Unit vectors: the axes, the horizon's awkward ones, then random ones.
-pub fn normals(count: usize) -> Vec<Vec3> {
+pub(crate) fn normals(count: usize) -> Vec<Vec3> {
     let mut list = vec![Vec3::Y, Vec3::NEG_Y, Vec3::X, Vec3::NEG_X, Vec3::Z, Vec3::NEG_Z];
     list.push(Vec3::new(1.0, 1e-4, 0.0).normalize());
     list.push(Vec3::new(-1.0, -1.0, 1.0).normalize());
@@ -52,13 +50,13 @@ pub fn normals(count: usize) -> Vec<Vec3> {
 }
 
 /// A sampler by its specification.
-pub fn sampler(spec: &str, dome: &Arc<Dome>, rays: u32) -> Box<dyn DomeSampler> {
+pub(crate) fn sampler(spec: &str, dome: &Arc<Dome>, rays: u32) -> Box<dyn DomeSampler> {
     let (plugin, params) = resolve("sampler", SAMPLERS, spec).unwrap();
     (plugin.make)(dome, &params, &Setup { size: [64, 64], gloss: true, rays }).unwrap()
 }
 
 /// A Lambertian point with normal `n`, with numbers of its own.
-pub fn point(n: Vec3, seed: u32) -> Point {
+pub(crate) fn point(n: Vec3, seed: u32) -> Point {
     Point {
         pixel: [seed % 64, seed / 64 % 64],
         distance: 1.0,
@@ -71,7 +69,7 @@ pub fn point(n: Vec3, seed: u32) -> Point {
 }
 
 /// The texel of a direction and, since directions are f32, those a rounding away.
-pub fn texels_near(grid: &Grid, dir: Vec3) -> Vec<u32> {
+pub(crate) fn texels_near(grid: &Grid, dir: Vec3) -> Vec<u32> {
     let mut list = vec![grid.texel(dir)];
     // Relative to the distance from the axis: columns narrow towards the poles.
     let around = Vec3::new(-dir.z, 0.0, dir.x);
@@ -89,7 +87,7 @@ pub fn texels_near(grid: &Grid, dir: Vec3) -> Vec<u32> {
 
 /// A cell of the sphere: heights (upper, lower) and azimuths.
 #[derive(Debug, Clone, Copy)]
-pub struct Cell {
+pub(crate) struct Cell {
     z: [f64; 2],
     phi: [f64; 2],
 }
@@ -154,14 +152,14 @@ impl Cell {
 }
 
 /// ∫ (n·ω)⁺ dω over each texel, f64: times radiance and summed, the irradiance.
-pub fn cosines(grid: &Grid, n: Vec3) -> Vec<f64> {
+pub(crate) fn cosines(grid: &Grid, n: Vec3) -> Vec<f64> {
     let n = n.as_dvec3().normalize();
     let depth = 11u32.saturating_sub(grid.height.ilog2()).max(5);
     (0..grid.len() as u32).map(|texel| Cell::of(grid, texel).cosine(n, depth)).collect()
 }
 
 /// The share of its directions a sampler draws from each texel's part above the horizon.
-pub fn shares(sampler: &dyn DomeSampler, grid: &Grid, point: &Point, draws: &Draws) -> Vec<f64> {
+pub(crate) fn shares(sampler: &dyn DomeSampler, grid: &Grid, point: &Point, draws: &Draws) -> Vec<f64> {
     let n = point.ns.as_dvec3();
     let share = |texel: u32| {
         let cell = Cell::of(grid, texel);
@@ -176,7 +174,13 @@ pub fn shares(sampler: &dyn DomeSampler, grid: &Grid, point: &Point, draws: &Dra
 
 /// Draws `total` directions for a point with normal `n` and tests them against the sampler's density; the p-value, or
 /// what is plainly wrong.
-pub fn chi_square(sampler: &dyn DomeSampler, dome: &Dome, n: Vec3, seed: u32, total: u32) -> Result<f64, String> {
+pub(crate) fn chi_square(
+    sampler: &dyn DomeSampler,
+    dome: &Dome,
+    n: Vec3,
+    seed: u32,
+    total: u32,
+) -> Result<f64, String> {
     const BATCH: u32 = 64;
     const FINE: u32 = 8;
     let grid = &dome.grid;
@@ -270,12 +274,12 @@ fn pooled(observed: &[u32], expected: &[f64]) -> Result<f64, String> {
 }
 
 /// The threshold for one of `runs` p-values that keeps the chance of any false alarm at `alpha` (Šidák).
-pub fn sidak(alpha: f64, runs: usize) -> f64 {
+pub(crate) fn sidak(alpha: f64, runs: usize) -> f64 {
     -((-alpha).ln_1p() / runs as f64).exp_m1()
 }
 
 /// The regularised upper incomplete gamma function Q(a, x): series below a + 1, continued fraction above.
-pub fn gamma_q(a: f64, x: f64) -> f64 {
+pub(crate) fn gamma_q(a: f64, x: f64) -> f64 {
     if x <= 0.0 {
         return 1.0;
     }

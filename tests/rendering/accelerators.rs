@@ -1,13 +1,9 @@
 //! Every registered structure answers as the oracle does, and none falls over a bad ray or a bad triangle.
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
-mod support;
-
+use crate::support::accel::{Random, add_instance, add_mesh, closed_box, scene_of, soup};
 use domelight::accel::{self, Accel, Coherence, Hit, Mask, Ray};
 use domelight::scene::{AlphaMode, Scene};
 use glam::{Affine3A, Mat3, Vec3};
 use std::sync::Arc;
-use support::accel::{Random, add_instance, add_mesh, closed_box, scene_of, soup};
 
 /// The accelerators under test: all but the oracle, each with its options.
 fn specs() -> Vec<String> {

@@ -1,7 +1,5 @@
 //! glTF files made by tests: JSON and a binary chunk, put together as a GLB in a folder of their own.
 
-#![allow(dead_code, reason = "each test crate uses its part")]
-
 use domelight::error::Result;
 use domelight::scene::{LoadOptions, Scene, load};
 use serde_json::{Value, json};

@@ -1,7 +1,5 @@
 //! Real domes (where the shared assets are at hand) and every odd file a user may have: loaded right or refused in words.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
-
 use domelight::dome::{self, Faults};
 use exr::math::Vec2;
 use exr::meta::attribute::EnvironmentMap;

@@ -1,10 +1,6 @@
 //! The shared asset set: every file loads with the triangles its manifest counts, or says what is in its way.
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
-mod scene_support;
-
+use crate::support::load_path;
 use domelight::scene::{AlphaMode, Scene};
-use scene_support::load_path;
 use std::path::PathBuf;
 
 /// File and triangles of the default scene; a text for those that must be refused.
@@ -130,7 +126,7 @@ fn mutated_generated_scenes_are_scenes_or_errors() {
             bytes[at] =
                 if bytes[at].is_ascii_digit() { b'0' + (random() % 10) as u8 } else { bytes[at] ^ 1 << (random() % 8) };
         }
-        if let Ok(scene) = scene_support::load_bytes(&bytes) {
+        if let Ok(scene) = crate::support::load_bytes(&bytes) {
             accepted += 1;
             let held: usize = scene.meshes.iter().map(|m| m.positions.len() * 12 + m.indices.len() * 12).sum();
             let texels: usize = scene.textures.iter().map(|t| t.texels.len() * 4).sum();

@@ -1,13 +1,9 @@
 //! χ² of every sampler against the density it claims, over domes and normals; and that the test can fail.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
-
-mod support;
-
+use crate::support::samplers::{chi_square, gamma_q, normals, sampler, sidak, study_domes};
 use domelight::sampler::{DomeSampler, Draws, Point, SAMPLERS, SamplerStats};
 use glam::Vec3;
 use rayon::prelude::*;
-use support::samplers::{chi_square, gamma_q, normals, sampler, sidak, study_domes};
 
 const DRAWS: u32 = 8192;
 

@@ -1,16 +1,12 @@
 //! Every sampler estimates the irradiance of every odd dome without bias, and reports the densities it drew with.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
-
-mod support;
-
+use crate::support::samplers::{cosines, dome, normals, point, sampler, shares, study_domes, texels_near};
 use domelight::dome::Dome;
 use domelight::random::hash;
 use domelight::sampler::{DomeSampler, Draws, SAMPLERS};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::Arc;
-use support::samplers::{cosines, dome, normals, point, sampler, shares, study_domes, texels_near};
 
 const RAYS: u32 = 16;
 const BATCHES: u32 = 1024;

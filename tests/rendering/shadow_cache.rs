@@ -1,9 +1,7 @@
 //! The shadow cache may cost variance, never bias, whatever it holds: renders with a cold, a warm, a stale, an all-zero,
 //! an all-one and a random cache against brute force, pixel by pixel. And an image does not depend on threads or tiles.
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
-mod support;
-
+use crate::support::render::{Shot, cuboid, pixels, scene, square, white};
+use crate::support::samplers::{dome, sampler, unit};
 use domelight::accel::{self, Accel, Coherence, Hit, Mask};
 use domelight::bsdf::Bsdf;
 use domelight::dome::Dome;
@@ -15,8 +13,6 @@ use domelight::scene::{Camera, CameraChoice, Material, Mesh, Scene};
 use glam::{DVec3, Vec3, Vec4};
 use rayon::prelude::*;
 use std::sync::{Arc, LazyLock};
-use support::render::{Shot, cuboid, pixels, scene, square, white};
-use support::samplers::{dome, sampler, unit};
 
 const SIDE: u32 = 32;
 const SEEDS: u32 = 64;

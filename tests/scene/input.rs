@@ -1,10 +1,6 @@
 //! Damaged and hostile files: each an error that names the file, the place and the way out, never a panic.
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
-mod scene_support;
-
+use crate::support::{Builder, glb, load_bytes, load_path, triangle};
 use domelight::scene::{LoadOptions, SceneChoice, load};
-use scene_support::{Builder, glb, load_bytes, load_path, triangle};
 use serde_json::{Value, json};
 
 /// The error's text; it must name the file and hold `says`.

@@ -1,13 +1,9 @@
 //! What a file says is where it says: accessors, topology, mirroring, poses, normal maps, and how exactly a hit is known.
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
-mod scene_support;
-
+use crate::support::{Builder, TRIANGLE, load_path, triangle};
 use domelight::accel::{Hit, Ray};
 use domelight::scene::{AlphaMode, Instance, Material, Mesh, Scene, Texture, TextureRef, offset_origin};
 use glam::{Affine3A, DVec3, Mat3, Mat3A, Quat, Vec2, Vec3, Vec4};
 use proptest::prelude::*;
-use scene_support::{Builder, TRIANGLE, load_path, triangle};
 use serde_json::json;
 use std::path::Path;
 
