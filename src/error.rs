@@ -39,6 +39,14 @@ pub enum Error {
         /// Cause and remedy.
         message: String,
     },
+    /// A checkpoint that can't be gone on from.
+    #[error("{}: {message}", path.display())]
+    Checkpoint {
+        /// The checkpoint.
+        path: PathBuf,
+        /// Cause and remedy.
+        message: String,
+    },
     /// A command-line value or a plugin's option outside what is known or allowed.
     #[error("{0}")]
     Option(String),
@@ -62,6 +70,10 @@ impl Error {
     /// An [`Error::Dome`] at `path`.
     pub fn dome(path: &Path, message: impl Into<String>) -> Self {
         Self::Dome { path: path.to_owned(), message: message.into() }
+    }
+    /// An [`Error::Checkpoint`] at `path`.
+    pub fn checkpoint(path: &Path, message: impl Into<String>) -> Self {
+        Self::Checkpoint { path: path.to_owned(), message: message.into() }
     }
     /// An [`Error::Image`] at `path`.
     pub fn image(path: &Path, message: impl Into<String>) -> Self {

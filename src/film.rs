@@ -4,6 +4,7 @@
 //! so that tiles and crops never share pixels and an image does not depend on how it was cut up.
 
 use glam::Vec3;
+use std::io::{self, Read, Write};
 
 /// A reconstruction filter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -191,6 +192,28 @@ impl Film {
                 }
             }
         }
+    }
+
+    /// Writes the sums, for a checkpoint.
+    pub(crate) fn save(&self, out: &mut dyn Write) -> io::Result<()> {
+        let Self { offset: _, size: _, pixels, aovs } = self;
+        for &Pixel { sum: [r, g, b, a], weight, samples } in pixels {
+            out.write_all(bytemuck::bytes_of(&[r, g, b, a, weight]))?;
+            out.write_all(&samples.to_ne_bytes())?;
+        }
+        out.write_all(bytemuck::cast_slice(aovs))
+    }
+
+    /// Reads the sums of a film of the same size and layers.
+    pub(crate) fn restore(&mut self, input: &mut dyn Read) -> io::Result<()> {
+        for pixel in &mut self.pixels {
+            let (mut values, mut samples) = ([0.0; 5], [0; 4]);
+            input.read_exact(bytemuck::bytes_of_mut(&mut values))?;
+            input.read_exact(&mut samples)?;
+            let [r, g, b, a, weight] = values;
+            *pixel = Pixel { sum: [r, g, b, a], weight, samples: u32::from_ne_bytes(samples) };
+        }
+        input.read_exact(bytemuck::cast_slice_mut(&mut self.aovs))
     }
 
     /// The picture: R, G, B, A interleaved.

@@ -10,6 +10,7 @@
 //! - [`accel`] answers rays in batches: Debian's Embree through `ffi/`, a BVH in Rust, a brute-force oracle.
 //! - [`sampler`] draws directions for a point; `tessellated` is what the program exists for.
 //! - [`integrator`] says what a point is worth and queues shadow rays; [`render`] traces them tile by tile.
+//! - [`checkpoint`] keeps a render between two passes, to go on from later.
 //! - [`film`] sums, [`output`] writes, [`metrics`] compares.
 //!
 //! Accelerators, samplers, integrators and outputs are plugins ([`registry`]): one file and one line in a `const` slice.
@@ -25,6 +26,7 @@
 
 pub mod accel;
 pub mod bsdf;
+pub mod checkpoint;
 pub mod dome;
 pub mod error;
 pub mod film;

@@ -88,7 +88,7 @@ pub struct Picture {
 }
 
 /// What a render counted.
-#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Counts {
     /// Camera rays.
     pub camera_rays: u64,
@@ -102,6 +102,17 @@ pub struct Counts {
     pub dropped_at: Option<[u32; 3]>,
     /// The largest value a single ray added to a pixel, after division by spp; what a firefly would be.
     pub max_weight: f32,
+}
+
+/// A render between two passes: with what its sampler has learned, all that later passes go by.
+#[derive(Debug)]
+pub struct State {
+    /// What there is so far; `max_weight` is not yet divided by spp.
+    pub picture: Picture,
+    /// Passes done.
+    pub passes: u32,
+    /// Seconds of rendering behind it.
+    pub seconds: f64,
 }
 
 impl Counts {
@@ -214,22 +225,40 @@ impl Render<'_> {
 
     /// Renders. The sampler learns on the way, if it does; it must be fresh.
     pub fn run(&self, sampler: &mut dyn DomeSampler, watch: Watch<'_>) -> Picture {
-        let start = Instant::now();
+        self.run_from(self.start(), sampler, watch, &mut |_, _| ())
+    }
+
+    /// The render before its first pass.
+    pub fn start(&self) -> State {
         let [x, y, width, height] = self.settings.crop;
-        let mut film = Film::new([x, y], [width, height], self.settings.aovs);
+        let film = Film::new([x, y], [width, height], self.settings.aovs);
+        let picture = Picture { film, spp: 0, stopped: false, counts: Counts::default() };
+        State { picture, passes: 0, seconds: 0.0 }
+    }
+
+    /// Renders on from `state`, which `sampler` belongs to. `keep` is shown the state before every pass, and when no
+    /// further one begins because the render is stopped.
+    pub fn run_from(
+        &self,
+        mut state: State,
+        sampler: &mut dyn DomeSampler,
+        watch: Watch<'_>,
+        keep: &mut dyn FnMut(&State, &dyn DomeSampler),
+    ) -> Picture {
+        let (start, before) = (Instant::now(), state.seconds);
         let passes = self.passes(sampler.learns());
         let tiles = self.tiles(sampler.tile_multiple());
         let work: f64 = passes.iter().map(|pass| self.work(pass)).sum();
-        let mut counts = Counts::default();
-        let mut spp = 0;
-        let mut stopped = false;
-        let mut done = 0.0;
-        for pass in &passes {
+        let (past, ahead) = passes.split_at(passes.len().min(state.passes as usize));
+        let mut done: f64 = past.iter().map(|pass| self.work(pass)).sum();
+        for pass in ahead {
+            state.seconds = before + start.elapsed().as_secs_f64();
             // Without a first sample everywhere there is no picture: the learning stages always finish.
-            let enough = spp > 0;
-            let late = self.settings.time.is_some_and(|limit| start.elapsed().as_secs_f64() >= limit);
-            if enough && (watch.finish.load(Relaxed) || late) {
-                stopped = true;
+            let enough = state.picture.spp > 0;
+            let late = self.settings.time.is_some_and(|limit| state.seconds >= limit);
+            state.picture.stopped = enough && (watch.finish.load(Relaxed) || late);
+            keep(&state, sampler);
+            if state.picture.stopped {
                 break;
             }
             let finished = AtomicU64::new(0);
@@ -244,17 +273,18 @@ impl Render<'_> {
                 })
                 .collect();
             for (tile, tile_counts) in &results {
-                film.merge(tile);
-                counts.add(tile_counts);
+                state.picture.film.merge(tile);
+                state.picture.counts.add(tile_counts);
             }
             if pass.ends_stage {
                 sampler.next_stage();
             }
             done += self.work(pass);
-            spp = spp.max(pass.spp_after);
+            state.passes += 1;
+            state.picture.spp = state.picture.spp.max(pass.spp_after);
         }
-        counts.max_weight /= spp.max(1) as f32;
-        Picture { film, spp, stopped, counts }
+        state.picture.counts.max_weight /= state.picture.spp.max(1) as f32;
+        state.picture
     }
 
     fn work(&self, pass: &Pass) -> f64 {

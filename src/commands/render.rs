@@ -3,11 +3,13 @@
 mod args;
 mod progress;
 mod report;
+mod resume;
 
 pub(crate) use args::Args;
 
 use anyhow::{Context, Result, bail};
 use domelight::accel::ACCELS;
+use domelight::checkpoint::Checkpoint;
 use domelight::dome;
 use domelight::error::Error;
 use domelight::film::Aov;
@@ -20,6 +22,7 @@ use domelight::sampler::{SAMPLERS, Setup};
 use domelight::scene::{self, View};
 use progress::Progress;
 use report::{Report, Times};
+use resume::Keeper;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -36,6 +39,7 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     let (make_integrator, integrator_params) = resolve("integrator", INTEGRATORS, &args.integrator)?;
     let aovs = args.aovs()?;
     let outputs = outputs(args)?;
+    let resume = args.resume.as_deref().map(Checkpoint::open).transpose()?;
     let threads = args.threads();
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("starting threads")?;
     let mut times = Times::default();
@@ -73,8 +77,12 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     };
     watch_interrupts()?;
     let clock = Instant::now();
-    let picture = render.run(sampler.as_mut(), Watch { finish: &INTERRUPTED, progress: &|share| progress.tell(share) });
-    times.render_s = clock.elapsed().as_secs_f64();
+    let plugins = [&accel_params, &sampler_params, &integrator_params];
+    let (state, mut keeper) = Keeper::begin(args, resume, &render, plugins, sampler.as_mut())?;
+    let before = state.seconds;
+    let watch = Watch { finish: &INTERRUPTED, progress: &|share| progress.tell(share) };
+    let picture = render.run_from(state, sampler.as_mut(), watch, &mut |state, sampler| keeper.keep(state, sampler));
+    times.render_s = before + clock.elapsed().as_secs_f64();
     progress.finish();
 
     let report = Report {
@@ -118,7 +126,7 @@ fn outputs(args: &Args) -> Result<Vec<(&Path, Box<dyn Output>)>> {
         outputs.push((path, output::for_path(path, &options)?));
         output::check_writable(path)?;
     }
-    if let Some(path) = &args.stats {
+    for path in [&args.stats, &args.checkpoint].into_iter().flatten() {
         output::check_writable(path)?;
     }
     Ok(outputs)

@@ -25,6 +25,7 @@ use crate::random;
 use crate::registry::{Params, Plugin};
 use glam::Vec3;
 use std::fmt::Debug;
+use std::io::{self, Read, Write};
 use std::sync::Arc;
 
 /// A point that asks for light.
@@ -185,6 +186,16 @@ pub trait DomeSampler: Debug + Send + Sync {
 
     /// Ends a stage: what was observed so far is what draws go by from now on.
     fn next_stage(&mut self) {}
+
+    /// Writes what was learned, for a checkpoint; called between passes.
+    fn save(&self, _out: &mut dyn Write) -> io::Result<()> {
+        Ok(())
+    }
+
+    /// Takes over what a sampler that was prepared in the same way has saved: draws go on as its would have.
+    fn restore(&mut self, _input: &mut dyn Read) -> io::Result<()> {
+        Ok(())
+    }
 
     /// What there is to report.
     fn stats(&self) -> SamplerStats;

@@ -12,6 +12,7 @@
 use super::preconvolution::GROUP_LANES;
 use glam::Vec3;
 use rayon::prelude::*;
+use std::io::{self, Read, Write};
 use std::sync::atomic::{AtomicU16, AtomicU32, AtomicU64, Ordering::Relaxed};
 
 /// Records a block may hold: a silhouette or a corner has two or three surfaces in sight.
@@ -193,6 +194,37 @@ impl ShadowCache {
                 }
             }
         });
+    }
+
+    /// Writes all that was counted and frozen, for a checkpoint.
+    pub fn save(&self, out: &mut dyn Write) -> io::Result<()> {
+        let Self { groups: _, block: _, blocks: _, keys, counts, visibility, frozen, lookups, hits } = self;
+        for tally in [lookups, hits] {
+            out.write_all(&tally.load(Relaxed).to_ne_bytes())?;
+        }
+        for key in keys {
+            out.write_all(&key.load(Relaxed).to_ne_bytes())?;
+        }
+        for count in counts {
+            out.write_all(&count.load(Relaxed).to_ne_bytes())?;
+        }
+        out.write_all(bytemuck::cast_slice(frozen))?;
+        out.write_all(visibility)
+    }
+
+    /// Reads what a cache of the same shape has saved.
+    pub fn restore(&mut self, input: &mut dyn Read) -> io::Result<()> {
+        for tally in [&mut self.lookups, &mut self.hits] {
+            input.read_exact(bytemuck::bytes_of_mut(tally.get_mut()))?;
+        }
+        for key in &mut self.keys {
+            input.read_exact(bytemuck::bytes_of_mut(key.get_mut()))?;
+        }
+        for count in &mut self.counts {
+            input.read_exact(bytemuck::bytes_of_mut(count.get_mut()))?;
+        }
+        input.read_exact(bytemuck::cast_slice_mut(&mut self.frozen))?;
+        input.read_exact(&mut self.visibility)
     }
 
     /// Records, bytes, hit rate.

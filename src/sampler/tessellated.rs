@@ -29,6 +29,7 @@ use crate::simd::dispatch;
 use draw::{BLOCK, Descend, LeafCounts, MOST_AT_HORIZON, NO_LEAF};
 use glam::Vec3;
 use rayon::prelude::*;
+use std::io::{self, Read, Write};
 use std::sync::Arc;
 use std::time::Instant;
 use weights::{BELOW, CROSSING, HIGH, Weigh};
@@ -286,6 +287,20 @@ impl DomeSampler for Tessellated {
             cache.freeze();
             self.warm = true;
         }
+    }
+
+    fn save(&self, out: &mut dyn Write) -> io::Result<()> {
+        let Some(cache) = &self.cache else { return Ok(()) };
+        out.write_all(&[self.warm.into()])?;
+        cache.save(out)
+    }
+
+    fn restore(&mut self, input: &mut dyn Read) -> io::Result<()> {
+        let Some(cache) = &mut self.cache else { return Ok(()) };
+        let mut warm = [0];
+        input.read_exact(&mut warm)?;
+        self.warm = warm != [0];
+        cache.restore(input)
     }
 
     fn tally(&self, draws: &mut Draws) {

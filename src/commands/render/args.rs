@@ -73,6 +73,15 @@ pub(crate) struct Args {
     /// Side of a tile, pixels
     #[arg(long, value_name = "N", default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=4096), help_heading = "Running")]
     tile: u32,
+    /// Keep the render in this file now and then, to go on from after a crash, a kill or ^C
+    #[arg(long, value_name = "FILE", help_heading = "Running")]
+    pub(super) checkpoint: Option<PathBuf>,
+    /// Seconds between checkpoints; each is written when a pass ends
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = interval, requires = "checkpoint", help_heading = "Running")]
+    pub(super) checkpoint_every: f64,
+    /// Go on from a checkpoint of the same render
+    #[arg(long, value_name = "FILE", help_heading = "Running")]
+    pub(super) resume: Option<PathBuf>,
     /// How progress is shown: bar (on a terminal), plain (a line a per cent), json, none
     #[arg(long, default_value = "auto", value_parser = PossibleValuesParser::new(["auto", "bar", "plain", "json", "none"]), help_heading = "Running")]
     progress: String,
@@ -218,6 +227,11 @@ impl Args {
             );
         }
     }
+}
+
+fn interval(text: &str) -> Result<f64, String> {
+    let seconds = text.parse().ok().filter(|s| (0.0..=1e6).contains(s));
+    seconds.ok_or_else(|| "seconds from 0 (after every pass) to 1000000 are wanted".to_owned())
 }
 
 fn crop(text: &str) -> Result<[u32; 4], String> {

@@ -1,0 +1,6 @@
+//! The program as a process: what it does when it is stopped, given nonsense, or short of memory.
+
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod checkpoint;
+mod support;
