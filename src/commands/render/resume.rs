@@ -33,12 +33,8 @@ impl<'a> Keeper<'a> {
             Some(checkpoint) => checkpoint.resume(render, &identity, sampler)?,
             None => render.start(),
         };
-        let keeper = Self {
-            path: args.checkpoint.as_deref(),
-            every: args.checkpoint_every,
-            identity,
-            last: Instant::now(),
-        };
+        let keeper =
+            Self { path: args.checkpoint.as_deref(), every: args.checkpoint_every, identity, last: Instant::now() };
         Ok((state, keeper))
     }
 
