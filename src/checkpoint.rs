@@ -45,7 +45,8 @@ struct Header {
 /// What the render's image is a function of. `plugins` are accelerator, sampler and integrator with all options.
 pub fn identity(render: &Render<'_>, plugins: [&Params; 3]) -> Identity {
     // Threads, tiles and limits of time change nothing in a pass.
-    let Settings { size, crop, spp, rays, seed, tile: _, filter, background, aovs, time: _ } = render.settings;
+    let Settings { size, crop, spp, rays, seed, tile: _, filter, background, aovs, variance, time: _ } =
+        render.settings;
     let mut dome = Sha256::new();
     dome.update(format!("{:?}", render.dome.grid));
     dome.update(bytemuck::cast_slice(&render.dome.texels));
@@ -63,6 +64,7 @@ pub fn identity(render: &Render<'_>, plugins: [&Params; 3]) -> Identity {
         ("filter", format!("{filter:?}")),
         ("background", format!("{background:?}")),
         ("layers", if aovs { "some" } else { "none" }.to_owned()),
+        ("variance", if variance { "on" } else { "off" }.to_owned()),
         ("accelerator", accel),
         ("sampler", sampler),
         ("integrator", integrator),

@@ -3,7 +3,10 @@
 //! A sample belongs to one pixel: filters are drawn from, not splatted (filter importance sampling, Ernst et al. 2006),
 //! so that tiles and crops never share pixels and an image does not depend on how it was cut up.
 
+pub mod replicates;
+
 use glam::Vec3;
+use replicates::Replicates;
 use std::io::{self, Read, Write};
 
 /// A reconstruction filter.
@@ -139,6 +142,8 @@ pub struct Film {
     pub pixels: Vec<Pixel>,
     /// Σ weight · (albedo, normal, depth, position, light) a pixel; empty unless asked for.
     pub aovs: Vec<[f64; 12]>,
+    /// What variances are made from; empty unless asked for.
+    pub replicates: Replicates,
 }
 
 impl Film {
@@ -146,7 +151,7 @@ impl Film {
     pub fn new(offset: [u32; 2], size: [u32; 2], aovs: bool) -> Self {
         let count = size[0] as usize * size[1] as usize;
         let aovs = if aovs { vec![[0.0; 12]; count] } else { Vec::new() };
-        Self { offset, size, pixels: vec![Pixel::default(); count], aovs }
+        Self { offset, size, pixels: vec![Pixel::default(); count], aovs, replicates: Replicates::default() }
     }
 
     /// The index of a pixel of the full image.
@@ -196,12 +201,14 @@ impl Film {
 
     /// Writes the sums, for a checkpoint.
     pub(crate) fn save(&self, out: &mut dyn Write) -> io::Result<()> {
-        let Self { offset: _, size: _, pixels, aovs } = self;
+        let Self { offset: _, size: _, pixels, aovs, replicates } = self;
         for &Pixel { sum: [r, g, b, a], weight, samples } in pixels {
             out.write_all(bytemuck::bytes_of(&[r, g, b, a, weight]))?;
             out.write_all(&samples.to_ne_bytes())?;
         }
-        out.write_all(bytemuck::cast_slice(aovs))
+        out.write_all(bytemuck::cast_slice(aovs))?;
+        out.write_all(&replicates.count.to_ne_bytes())?;
+        out.write_all(bytemuck::cast_slice(&replicates.pixels))
     }
 
     /// Reads the sums of a film of the same size and layers.
@@ -213,7 +220,16 @@ impl Film {
             let [r, g, b, a, weight] = values;
             *pixel = Pixel { sum: [r, g, b, a], weight, samples: u32::from_ne_bytes(samples) };
         }
-        input.read_exact(bytemuck::cast_slice_mut(&mut self.aovs))
+        input.read_exact(bytemuck::cast_slice_mut(&mut self.aovs))?;
+        let mut count = [0; 4];
+        input.read_exact(&mut count)?;
+        self.replicates.count = u32::from_ne_bytes(count);
+        input.read_exact(bytemuck::cast_slice_mut(&mut self.replicates.pixels))
+    }
+
+    /// Ends a replicate: it is what the film gained since the last one ended.
+    pub(crate) fn close_replicate(&mut self) {
+        self.replicates.close(&self.pixels);
     }
 
     /// The picture: R, G, B, A interleaved.

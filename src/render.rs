@@ -4,12 +4,14 @@
 //! the first camera samples come in three *stages*, each a lattice of pixels: every 16th pixel, then every 4th, then the
 //! rest; after each stage the sampler goes by what was seen so far. A pixel's own samples therefore never depend on
 //! what they saw themselves, all of them form one stratified set, and the image is unbiased in the strict sense. Later
-//! samples are one more stage with numbers of their own.
+//! samples are one more stage with numbers of their own. Where variances are asked for, every replicate has numbers of
+//! its own ([`crate::film::replicates`]).
 //!
 //! Tiles are independent: their queues of shadow rays, their films and the blocks of the shadow cache are their own.
 
 use crate::accel::{Accel, Hit, Ray};
 use crate::dome::Dome;
+use crate::film::replicates::Replicates;
 use crate::film::{AovSample, Film, Filter, Sample};
 use crate::integrator::visibility::{self, nearest};
 use crate::integrator::{Integrator, Queue, Shading, World};
@@ -55,6 +57,8 @@ pub struct Settings {
     pub background: Background,
     /// Whether layers are collected.
     pub aovs: bool,
+    /// Whether the variance of each pixel's mean is measured, from replicates; wants two camera samples at least.
+    pub variance: bool,
     /// Seconds after which no further pass begins.
     pub time: Option<f64>,
 }
@@ -157,7 +161,7 @@ struct Pass {
     /// Camera samples of the sequence.
     first: u32,
     count: u32,
-    /// Which sequence: every learning stage after the first has its own.
+    /// Which sequence: the learning stages share one; what follows has its own, and so has every replicate.
     sequence: u32,
     weight: f64,
     /// Whether the sampler's stage ends here.
@@ -193,22 +197,33 @@ const CHUNK: usize = 1024;
 const BATCH: usize = 1024;
 
 impl Render<'_> {
+    /// Camera samples of a replicate: where variances are asked for, a divisor of all of them that leaves sixteen
+    /// replicates or more; else all.
+    fn replicate(&self) -> u32 {
+        let Settings { spp, variance, time, .. } = self.settings;
+        let most = if time.is_some() { LEARNING } else { spp / 16 };
+        if variance { (1..=most).rev().find(|n| spp.is_multiple_of(*n)).unwrap_or(1) } else { spp }
+    }
+
     fn passes(&self, learns: bool) -> Vec<Pass> {
         let spp = self.settings.spp;
         let mut passes = Vec::new();
         let mut done = 0;
         if learns {
-            let count = spp.min(LEARNING);
+            let count = self.replicate().min(LEARNING);
             for lattice in [Lattice::Sixteenth, Lattice::Quarter, Lattice::Rest] {
                 let spp_after = if lattice == Lattice::Rest { count } else { 0 };
                 passes.push(Pass { lattice, first: 0, count, sequence: 0, weight: 1.0, ends_stage: true, spp_after });
             }
             done = count;
         }
-        let first = done;
+        let each = self.replicate();
+        let (mut first, mut sequence) = (done, u32::from(learns));
         while done < spp {
-            let count = (spp - done).min(4);
-            let sequence = u32::from(learns);
+            if done % each == 0 && done > first {
+                (first, sequence) = (done, sequence + 1);
+            }
+            let count = (spp - done).min(4).min(each - done % each);
             passes.push(Pass {
                 lattice: Lattice::All,
                 first: done - first,
@@ -231,7 +246,10 @@ impl Render<'_> {
     /// The render before its first pass.
     pub fn start(&self) -> State {
         let [x, y, width, height] = self.settings.crop;
-        let film = Film::new([x, y], [width, height], self.settings.aovs);
+        let mut film = Film::new([x, y], [width, height], self.settings.aovs);
+        if self.settings.variance {
+            film.replicates = Replicates::new(film.pixels.len());
+        }
         let picture = Picture { film, spp: 0, stopped: false, counts: Counts::default() };
         State { picture, passes: 0, seconds: 0.0 }
     }
@@ -247,6 +265,7 @@ impl Render<'_> {
     ) -> Picture {
         let (start, before) = (Instant::now(), state.seconds);
         let passes = self.passes(sampler.learns());
+        let each = self.replicate();
         let tiles = self.tiles(sampler.tile_multiple());
         let work: f64 = passes.iter().map(|pass| self.work(pass)).sum();
         let (past, ahead) = passes.split_at(passes.len().min(state.passes as usize));
@@ -254,7 +273,10 @@ impl Render<'_> {
         for pass in ahead {
             state.seconds = before + start.elapsed().as_secs_f64();
             // Without a first sample everywhere there is no picture: the learning stages always finish.
-            let enough = state.picture.spp > 0;
+            // Without a second replicate there is no variance, and half a replicate would not be counted.
+            let State { picture: Picture { film, spp, .. }, .. } = &state;
+            let whole = !self.settings.variance || (film.replicates.count > 1 && spp % each == 0);
+            let enough = *spp > 0 && whole;
             let late = self.settings.time.is_some_and(|limit| state.seconds >= limit);
             state.picture.stopped = enough && (watch.finish.load(Relaxed) || late);
             keep(&state, sampler);
@@ -282,6 +304,9 @@ impl Render<'_> {
             done += self.work(pass);
             state.passes += 1;
             state.picture.spp = state.picture.spp.max(pass.spp_after);
+            if self.settings.variance && pass.spp_after > 0 && pass.spp_after % each == 0 {
+                state.picture.film.close_replicate();
+            }
         }
         state.picture.counts.max_weight /= state.picture.spp.max(1) as f32;
         state.picture

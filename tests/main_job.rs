@@ -182,6 +182,39 @@ fn what_is_wrong_is_said_before_anything_is_rendered() {
     }
 }
 
+/// Two seeds differ by no more than their variances explain; another dome does. The layer is there on demand alone.
+#[test]
+fn variances_are_what_the_z_test_goes_by() {
+    let folder = TempDir::new().unwrap();
+    let out = |name: &str| folder.path().join(name);
+    for (name, dome, options) in [
+        ("a.exr", "scenes/window.exr", &["--seed", "1", "--variance"][..]),
+        ("b.exr", "scenes/window.exr", &["--seed", "2", "--variance"]),
+        ("other.exr", "scenes/studio.exr", &["--variance"]),
+        ("plain.exr", "scenes/window.exr", &[]),
+    ] {
+        let mut command = domelight();
+        command.arg("render").arg(repo("scenes/sphere.glb")).arg("--dome").arg(repo(dome)).arg("-o").arg(out(name));
+        command.args(["--quiet", "--size", "48x32", "--spp", "48", "--rays", "4"]).args(options).assert().code(0);
+    }
+    let layers = |name: &str| read(&out(name)).unwrap().layers.iter().map(|l| l.name.clone()).collect::<Vec<_>>();
+    assert_eq!((layers("a.exr"), layers("plain.exr")), (vec![String::new(), "variance".into()], vec![String::new()]));
+    for (other, code) in [("b.exr", 0), ("other.exr", 1)] {
+        domelight().arg("compare").arg(out("a.exr")).arg(out(other)).arg("--z-test").assert().code(code);
+    }
+    let assert = domelight()
+        .arg("render")
+        .arg(repo("scenes/sphere.glb"))
+        .arg("--dome")
+        .arg(repo("scenes/window.exr"))
+        .arg("-o")
+        .arg(out("c.exr"))
+        .args(["--variance", "--spp", "1"])
+        .assert()
+        .code(2);
+    assert!(String::from_utf8_lossy(&assert.get_output().stderr).contains("--spp 2"));
+}
+
 #[test]
 fn plain_progress_is_a_line_a_per_cent_that_only_grows() {
     let folder = TempDir::new().unwrap();

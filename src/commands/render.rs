@@ -140,6 +140,11 @@ fn frame(picture: &Picture, aovs: &[Aov], full: &[u32; 2], metadata: Vec<(String
         channels: aov.channels().to_vec(),
         pixels: film.layer(aov),
     }));
+    layers.extend((film.replicates.count > 0).then(|| Layer {
+        name: "variance".to_owned(),
+        channels: vec!["R", "G", "B"],
+        pixels: film.replicates.variance(),
+    }));
     Frame { width: film.size[0], height: film.size[1], offset: film.offset, full: *full, layers, metadata }
 }
 

@@ -21,6 +21,7 @@ use std::time::{Duration, Instant};
 fn content(picture: &Picture) -> (Vec<u32>, Value) {
     let mut values = picture.film.rgba();
     values.extend(Aov::ALL.into_iter().flat_map(|aov| picture.film.layer(aov)));
+    values.extend(picture.film.replicates.variance());
     (values.iter().map(|v| v.to_bits()).collect(), serde_json::to_value(picture.counts).unwrap())
 }
 
@@ -46,6 +47,7 @@ fn a_render_goes_on_from_any_pass_as_if_it_had_never_stopped() {
         filter: Filter::BlackmanHarris,
         background: Background::Dome,
         aovs: true,
+        variance: false,
         time: None,
     };
     let render = Render {
@@ -57,7 +59,8 @@ fn a_render_goes_on_from_any_pass_as_if_it_had_never_stopped() {
         settings,
     };
     let watch = Watch { finish: &AtomicBool::new(false), progress: &|_| () };
-    for spec in ["tessellated", "latlong"] {
+    for (spec, variance) in [("tessellated", false), ("tessellated", true), ("latlong", true)] {
+        let render = Render { settings: Settings { variance, ..settings }, ..render };
         let (plugin, params) = resolve("sampler", SAMPLERS, spec).unwrap();
         let fresh = || (plugin.make)(&dome, &params, &Setup { size, gloss: true, rays: 4 }).unwrap();
         let identity = checkpoint::identity(&render, [&accel_params, &params, &integrator_params]);

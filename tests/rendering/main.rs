@@ -6,6 +6,7 @@
 mod accelerators;
 mod closed_forms;
 mod looks;
+mod replicates;
 mod samplers;
 mod shadow_cache;
 mod statistics;

@@ -5,7 +5,7 @@ use crate::support::samplers::{dome, sampler, unit};
 use domelight::accel::{self, Accel, Coherence, Hit, Mask};
 use domelight::bsdf::Bsdf;
 use domelight::dome::Dome;
-use domelight::metrics::ztest::z_test;
+use domelight::metrics::ztest::{Estimate, z_test};
 use domelight::random;
 use domelight::registry::resolve;
 use domelight::sampler::{DomeSampler, Draws, Numbers, Point, SAMPLERS, Setup};
@@ -78,6 +78,12 @@ struct Pictures {
     whole: (f64, f64),
 }
 
+impl Pictures {
+    fn estimate(&self) -> Estimate<'_> {
+        Estimate { mean: &self.mean, variance: &self.variance, freedom: f64::from(SEEDS - 1) }
+    }
+}
+
 fn summarise(pictures: &[Vec<Vec3>]) -> Pictures {
     let count = pictures.len() as f64;
     let at = |i: usize| pictures.iter().map(move |p| p[i].as_dvec3());
@@ -121,7 +127,7 @@ static BRUTE_FORCE: LazyLock<Pictures> = LazyLock::new(|| {
 
 fn assert_same(what: &str, pictures: &Pictures, reference: &Pictures) {
     // Variances are of sixty-four pictures: Student's tails are heavier, 0.001 of the normal's is 0.005 of theirs.
-    let test = z_test(&pictures.mean, &pictures.variance, &reference.mean, &reference.variance, 0.001);
+    let test = z_test(pictures.estimate(), reference.estimate(), 0.001);
     assert!(test.passes(), "{what}: {test:?}");
     // z² has a mean of about 1, whatever the cache holds; less where pixels agree to rounding.
     assert!((0.7..1.1).contains(&test.spread), "{what}: {test:?}");
@@ -237,7 +243,7 @@ fn uniform_directions_agree_under_a_soft_sky() {
 fn a_wrong_picture_is_found_out() {
     let mut wrong = summarise(&[BRUTE_FORCE.mean.clone(), BRUTE_FORCE.mean.clone()]);
     wrong.mean.iter_mut().for_each(|v| *v *= 1.1);
-    let same = |w: &Pictures| z_test(&w.mean, &w.variance, &BRUTE_FORCE.mean, &BRUTE_FORCE.variance, 0.01).passes();
+    let same = |w: &Pictures| z_test(w.estimate(), BRUTE_FORCE.estimate(), 0.01).passes();
     assert!(!same(&wrong));
 }
 

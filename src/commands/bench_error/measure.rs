@@ -58,6 +58,7 @@ impl Bench {
             filter: Filter::Box,
             background: self.background,
             aovs: false,
+            variance: false,
             time: None,
         };
         let render = Render {

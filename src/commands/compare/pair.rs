@@ -1,7 +1,7 @@
 //! Two pictures and what there is to say about them.
 
 use anyhow::{Result, bail};
-use domelight::metrics::ztest::{ZTest, z_test};
+use domelight::metrics::ztest::{Estimate, ZTest, z_test};
 use domelight::metrics::{Differences, differences, flip};
 use domelight::output::tonemap::Curve;
 use domelight::output::{Frame, read};
@@ -16,6 +16,8 @@ pub(super) struct Pair {
     pub(super) width: usize,
     pub(super) images: [Vec<Vec3>; 2],
     variances: [Option<Vec<Vec3>>; 2],
+    /// Of the variances: what the header says of `replicates`, less one.
+    freedom: [f64; 2],
 }
 
 /// What may not be exceeded.
@@ -43,6 +45,12 @@ fn colours(frame: &Frame, layer: &str) -> Option<Vec<Vec3>> {
     let channel = |name: &str| layer.channels.iter().position(|c| *c == name);
     let (r, g, b) = (channel("R")?, channel("G")?, channel("B")?);
     Some(layer.pixels.chunks_exact(layer.channels.len()).map(|p| Vec3::new(p[r], p[g], p[b])).collect())
+}
+
+/// Degrees of freedom of a picture's variances; infinite where it does not say how many replicates they are from.
+fn freedom(frame: &Frame) -> f64 {
+    let said = frame.metadata.iter().find(|(key, _)| key == "replicates").and_then(|(_, n)| n.parse::<u32>().ok());
+    said.filter(|n| *n > 1).map_or(f64::INFINITY, |n| f64::from(n - 1))
 }
 
 impl Pair {
@@ -84,6 +92,7 @@ impl Pair {
             width: fa.width as usize,
             images,
             variances: [colours(fa, "variance"), colours(fb, "variance")],
+            freedom: [fa, fb].map(freedom),
         })
     }
 
@@ -95,15 +104,15 @@ impl Pair {
         let z_test = if with_z_test {
             // A picture without the layer counts as free of noise: a reference by formula, say.
             let none = vec![Vec3::ZERO; a.len()];
-            let [va, vb] = &self.variances;
-            if va.is_none() && vb.is_none() {
-                bail!(
-                    "neither {} nor {} holds variances; render with the layer `variance`",
-                    self.names[0],
-                    self.names[1]
-                );
+            if self.variances.iter().all(Option::is_none) {
+                bail!("neither {} nor {} holds variances; render with --variance", self.names[0], self.names[1]);
             }
-            Some(z_test(a, va.as_ref().unwrap_or(&none), b, vb.as_ref().unwrap_or(&none), 0.01))
+            let [side_a, side_b] = [0, 1].map(|k| Estimate {
+                mean: &self.images[k],
+                variance: self.variances[k].as_ref().unwrap_or(&none),
+                freedom: self.freedom[k],
+            });
+            Some(z_test(side_a, side_b, 0.01))
         } else {
             None
         };

@@ -50,6 +50,9 @@ pub(crate) struct Args {
     /// Further layers for EXR: albedo, normal, depth, position, visibility
     #[arg(long, value_name = "NAMES", value_delimiter = ',', help_heading = "Image")]
     aov: Vec<String>,
+    /// A further layer for EXR: the variance of each pixel's mean, from 16 or more replicates (`compare --z-test` reads it)
+    #[arg(long, help_heading = "Image")]
+    variance: bool,
     /// Tone mapping for PNG
     #[arg(long, default_value = "neutral", value_parser = PossibleValuesParser::new(["neutral", "aces", "none"]), help_heading = "Image")]
     pub(super) tonemap: String,
@@ -111,6 +114,9 @@ impl Args {
         if !self.exposure.is_finite() || self.exposure.abs() > 32.0 {
             bail!(Error::Option("--exposure wants stops from -32 to 32".to_owned()));
         }
+        if self.variance && self.spp < 2 && self.time.is_none() {
+            bail!(Error::Option("--variance compares replicates: it wants --spp 2 or more, better 16".to_owned()));
+        }
         self.input.check()?;
         Ok(Settings {
             size: self.size,
@@ -126,6 +132,7 @@ impl Args {
                 _ => Background::Dome,
             },
             aovs: !self.aov.is_empty(),
+            variance: self.variance,
             time: self.time,
         })
     }

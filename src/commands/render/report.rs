@@ -54,7 +54,13 @@ impl Report<'_> {
             ("domeSha256", self.dome_sha256.clone()),
         ]
         .map(|(key, value)| (key.to_owned(), value))
-        .to_vec()
+        .into_iter()
+        .chain(
+            Some(self.picture.film.replicates.count)
+                .filter(|n| *n > 0)
+                .map(|n| ("replicates".to_owned(), n.to_string())),
+        )
+        .collect()
     }
 
     /// The statistics file.

@@ -97,6 +97,15 @@ pub(crate) struct Shot<'a> {
 impl Shot<'_> {
     /// The render itself, misses black.
     pub(crate) fn take(&self, sampler: &mut dyn DomeSampler, seed: u32) -> Picture {
+        self.run(sampler, seed, false)
+    }
+
+    /// The same in replicates, with variances.
+    pub(crate) fn take_measured(&self, sampler: &mut dyn DomeSampler, seed: u32) -> Picture {
+        self.run(sampler, seed, true)
+    }
+
+    fn run(&self, sampler: &mut dyn DomeSampler, seed: u32, variance: bool) -> Picture {
         let (plugin, params) = resolve("integrator", INTEGRATORS, "direct").unwrap();
         let integrator = (plugin.make)(&params).unwrap();
         let view = View::new(self.camera, self.side, self.side);
@@ -110,6 +119,7 @@ impl Shot<'_> {
             filter: Filter::Box,
             background: Background::Black,
             aovs: false,
+            variance,
             time: None,
         };
         let render = Render {
