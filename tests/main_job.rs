@@ -261,11 +261,3 @@ fn an_interrupted_render_is_a_whole_image() {
     assert!((1..100_000).contains(&spp), "{spp} samples a pixel");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "something was left behind");
 }
-
-#[test]
-fn the_readme_lists_the_plugins_as_they_are() {
-    let readme = std::fs::read_to_string(repo("README.md")).unwrap();
-    let output = domelight().args(["plugins", "--markdown"]).assert().code(0);
-    let tables = String::from_utf8_lossy(&output.get_output().stdout).into_owned();
-    assert!(cfg!(not(feature = "embree")) || readme.contains(tables.trim()), "README.md wants these tables:\n{tables}");
-}

@@ -38,7 +38,8 @@ pub(super) struct Report<'a> {
 impl Report<'_> {
     /// Header attributes: short keys, for old readers.
     pub(super) fn metadata(&self) -> Vec<(String, String)> {
-        let counts = &self.picture.counts;
+        let (counts, times) = (&self.picture.counts, &self.times);
+        let seconds = |s: f64| format!("{s:.3}");
         [
             ("software", format!("domelight {}", env!("CARGO_PKG_VERSION"))),
             ("accel", self.params[0].clone()),
@@ -49,7 +50,10 @@ impl Report<'_> {
             ("rays", self.rays.to_string()),
             ("cameraRays", counts.camera_rays.to_string()),
             ("shadowRays", counts.shadow_rays.to_string()),
-            ("renderSeconds", format!("{:.3}", self.times.render_s)),
+            ("loadSeconds", seconds(times.load_s + times.dome_s)),
+            ("prepareSeconds", seconds(times.prepare_s)),
+            ("buildSeconds", seconds(times.build_s)),
+            ("renderSeconds", seconds(times.render_s)),
             ("sceneSha256", self.scene_sha256.clone()),
             ("domeSha256", self.dome_sha256.clone()),
         ]
