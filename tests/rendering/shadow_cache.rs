@@ -238,6 +238,23 @@ fn uniform_directions_agree_under_a_soft_sky() {
     assert_same("soft sky", &cached, &reference);
 }
 
+/// A crop's cache has seen other pixels than the whole image's: another draw, the same mean.
+#[test]
+fn a_crop_has_the_mean_of_the_whole_image() {
+    let (stage, dome) = (Stage::new(occluders()), sun());
+    let shot = stage.shot(&dome, 12, 8);
+    let crop @ [left, top, columns, rows] = [5, 10, 21, 13];
+    let part = |seed| pixels(&shot.crop(crop, sampler(CACHE, &dome, 8).as_mut(), seed));
+    let of_whole = |seed| {
+        let whole = pixels(&shot.take(sampler(CACHE, &dome, 8).as_mut(), 1000 + seed));
+        let at = |i: u32| whole[((top + i / columns) * SIDE + left + i % columns) as usize];
+        (0..columns * rows).map(at).collect::<Vec<_>>()
+    };
+    let parts = summarise(&(0..SEEDS).into_par_iter().map(part).collect::<Vec<_>>());
+    let wholes = summarise(&(0..SEEDS).into_par_iter().map(of_whole).collect::<Vec<_>>());
+    assert_same("a crop", &parts, &wholes);
+}
+
 /// The test must be able to fail: a picture one per cent too bright is found out.
 #[test]
 fn a_wrong_picture_is_found_out() {

@@ -97,21 +97,26 @@ pub(crate) struct Shot<'a> {
 impl Shot<'_> {
     /// The render itself, misses black.
     pub(crate) fn take(&self, sampler: &mut dyn DomeSampler, seed: u32) -> Picture {
-        self.run(sampler, seed, false)
+        self.run(sampler, seed, [0, 0, self.side, self.side], false)
     }
 
     /// The same in replicates, with variances.
     pub(crate) fn take_measured(&self, sampler: &mut dyn DomeSampler, seed: u32) -> Picture {
-        self.run(sampler, seed, true)
+        self.run(sampler, seed, [0, 0, self.side, self.side], true)
     }
 
-    fn run(&self, sampler: &mut dyn DomeSampler, seed: u32, variance: bool) -> Picture {
+    /// A part of it: first column, first row, columns, rows.
+    pub(crate) fn crop(&self, crop: [u32; 4], sampler: &mut dyn DomeSampler, seed: u32) -> Picture {
+        self.run(sampler, seed, crop, false)
+    }
+
+    fn run(&self, sampler: &mut dyn DomeSampler, seed: u32, crop: [u32; 4], variance: bool) -> Picture {
         let (plugin, params) = resolve("integrator", INTEGRATORS, "direct").unwrap();
         let integrator = (plugin.make)(&params).unwrap();
         let view = View::new(self.camera, self.side, self.side);
         let settings = Settings {
             size: [self.side; 2],
-            crop: [0, 0, self.side, self.side],
+            crop,
             spp: self.spp,
             rays: self.rays,
             seed,
