@@ -145,34 +145,43 @@ impl Shade<'_> {
         self.world.sampler.draw(&point, self.from_dome, draws);
         let n = draws.dir.len() as f32;
         let k = self.bsdf.typical_diffuse(wo, ns) * FRAC_1_PI;
+        let control: Vec3 = draws.control.iter().zip(&draws.pdf).map(|(&control, pdf)| control / pdf).sum();
         let partner = self.world.sampler.needs_partner();
-        let mut sum = Vec3::ZERO;
-        for i in 0..draws.dir.len() {
-            let (dir, pdf) = (draws.dir[i], draws.pdf[i]);
-            if !draws.control.is_empty() {
-                sum -= k * draws.control[i] / pdf;
-            }
+        // All directions are on the normal's side: they begin at one place.
+        let origin = offset_origin(surface.position, surface.error, ng, ng);
+        let lambert = (!partner && self.bsdf.specular.is_none()).then(|| self.bsdf.diffuse * (FRAC_1_PI / n));
+        for (i, ((&dir, &radiance), &pdf)) in draws.dir.iter().zip(&draws.radiance).zip(&draws.pdf).enumerate() {
             let cosine = dir.dot(ns);
             let target = draws.target.get(i);
-            if cosine <= 0.0 || dir.dot(ng) <= 0.0 || draws.radiance[i] == Vec3::ZERO {
-                // Hidden by the surface itself: no ray, but the control variate above still counts.
-                if draws.radiance[i] != Vec3::ZERO {
+            if cosine <= 0.0 || dir.dot(ng) <= 0.0 || radiance == Vec3::ZERO {
+                // Hidden by the surface itself: no ray, but the control variate still counts.
+                if radiance != Vec3::ZERO {
                     queue.hidden.extend(target);
                 }
                 continue;
             }
-            let alone = n * pdf;
-            let mut f = self.bsdf.eval_diffuse(wo, dir) / if partner { 1.0 } else { alone };
-            if partner || (self.bsdf.specular.is_some() && !self.narrow()) {
-                let (specular, lobe_pdf) = self.lobe.eval(self.lobe.frame.to_local(dir));
-                let both = alone + self.from_lobe as f32 * lobe_pdf;
-                f = if partner { (f + specular) / both } else { f + specular / both };
-            }
-            let origin = offset_origin(surface.position, surface.error, ng, dir);
-            queue.push(Ray::new(origin, dir), draws.radiance[i] * f * cosine);
+            let contribution = match lambert {
+                Some(lambert) => radiance * lambert * (cosine / pdf),
+                None => radiance * self.reflectance(dir, n * pdf) * cosine,
+            };
+            queue.push(Ray::new(origin, dir), contribution);
             queue.targets.extend(target);
         }
-        k * draws.integral + sum / n
+        k * (draws.integral - control / n)
+    }
+
+    /// What a direction drawn from the dome adds by its radiance: the diffuse term by the density of all the dome's
+    /// directions, the specular one by that of the lobe's as well.
+    fn reflectance(&self, dir: Vec3, alone: f32) -> Vec3 {
+        let wo = self.point.wo;
+        let diffuse = self.bsdf.eval_diffuse(wo, dir);
+        let partner = self.world.sampler.needs_partner();
+        if !partner && (self.bsdf.specular.is_none() || self.narrow()) {
+            return diffuse / alone;
+        }
+        let (specular, lobe_pdf) = self.lobe.eval(self.lobe.frame.to_local(dir));
+        let both = alone + self.from_lobe as f32 * lobe_pdf;
+        if partner { (diffuse + specular) / both } else { diffuse / alone + specular / both }
     }
 
     /// Directions from the lobe.

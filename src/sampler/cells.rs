@@ -6,6 +6,7 @@
 
 use super::tessellation::Cells;
 use crate::dome::Dome;
+use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3};
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -27,7 +28,7 @@ pub struct DomeCells {
     draw_columns: Vec<[f32; 2]>,
     draw_rows: Vec<DrawRow>,
     /// Half a cell's azimuth.
-    half_azimuth: f32,
+    pub(super) half_azimuth: f32,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -36,17 +37,35 @@ struct Column {
     sin: f64,
 }
 
-#[derive(Debug, Clone, Copy)]
-struct DrawRow {
-    /// 1 − |y| at the cell's top and its change to the bottom.
-    t: f32,
-    dt: f32,
-    sign: f32,
-    solid_angle: f32,
+/// A row, for drawing.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct DrawRow {
+    /// 1 − |y| at the cell's top.
+    pub t: f32,
+    /// Its change to the bottom.
+    pub dt: f32,
+    /// 1 above the equator, −1 below.
+    pub sign: f32,
+    /// Solid angle of a cell, steradians.
+    pub solid_angle: f32,
+}
+
+/// A cell, for drawing.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Sides {
+    /// Half its azimuth, radians.
+    pub half_azimuth: f32,
+    /// Cosine of its middle's azimuth.
+    pub cos: f32,
+    /// Sine of its middle's azimuth.
+    pub sin: f32,
+    /// The rest.
+    pub row: DrawRow,
 }
 
 /// A cell by its row (high half) and column (low half).
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(transparent)]
 pub struct Place(u32);
 
 #[derive(Debug, Clone, Copy)]
@@ -163,23 +182,31 @@ impl DomeCells {
         0.5 * (PI / f64::from(self.height)).hypot(2.0 * PI / f64::from(self.width))
     }
 
-    /// Row and column of a cell, for [`Self::direction`].
+    /// Row and column of a cell, for [`Self::sides`].
     pub fn locate(&self, cell: u32) -> Place {
         let (column, row) = self.place(cell);
         Place(row << 16 | column)
     }
 
-    /// The direction at (x, y) ∈ [0, 1)² of a cell, uniform in solid angle, and the cell's solid angle.
+    /// What drawing from a cell needs.
     #[inline(always)]
-    pub fn direction(&self, Place(place): Place, x: f32, y: f32) -> (Vec3, f32) {
-        let ([c, s], row) = (self.draw_columns[(place & 0xffff) as usize], self.draw_rows[(place >> 16) as usize]);
+    pub fn sides(&self, Place(place): Place) -> Sides {
+        let ([cos, sin], row) = (self.draw_columns[(place & 0xffff) as usize], self.draw_rows[(place >> 16) as usize]);
+        Sides { half_azimuth: self.half_azimuth, cos, sin, row }
+    }
+}
+
+impl Sides {
+    /// The direction at (x, y) ∈ [0, 1)² of the cell, uniform in solid angle.
+    #[inline(always)]
+    pub fn direction(&self, x: f32, y: f32) -> Vec3 {
+        let Self { half_azimuth, cos: c, sin: s, row } = self;
         let t = row.t + y * row.dt;
         let ring = (t * (2.0 - t)).max(0.0).sqrt();
         // A small turn from the column's middle: the series' next terms are below 1e-9 for 256 columns and more.
-        let d = (2.0 * x - 1.0) * self.half_azimuth;
+        let d = (2.0 * x - 1.0) * half_azimuth;
         let (sin, cos) = (d - d * d * d * (1.0 / 6.0), 1.0 - 0.5 * d * d);
-        let dir = Vec3::new(ring * (c * cos - s * sin), row.sign * (1.0 - t), ring * (s * cos + c * sin));
-        (dir, row.solid_angle)
+        Vec3::new(ring * (c * cos - s * sin), row.sign * (1.0 - t), ring * (s * cos + c * sin))
     }
 }
 
@@ -218,7 +245,7 @@ mod tests {
             let c = cells(w, h, 33.0);
             for cell in (0..c.count() as u32).step_by(1 + c.count() / 2000) {
                 for (x, y) in [(0.5, 0.5), (0.01, 0.01), (0.99, 0.99), (0.01, 0.99)] {
-                    let (dir, _) = c.direction(c.locate(cell), x, y);
+                    let dir = c.sides(c.locate(cell)).direction(x, y);
                     assert!((dir.length() - 1.0).abs() < 1e-6, "{w}×{h} cell {cell}: {}", dir.length());
                     assert_eq!(c.cell(dir, c.texel(cell)), cell, "{w}×{h}");
                     assert_eq!(c.dome().grid.texel(dir), c.texel(cell), "{w}×{h}");
@@ -236,7 +263,8 @@ mod tests {
             let mut sum = DVec3::ZERO;
             for i in 0..64 {
                 for j in 0..64 {
-                    sum += c.direction(c.locate(cell), (i as f32 + 0.5) / 64.0, (j as f32 + 0.5) / 64.0).0.as_dvec3();
+                    sum +=
+                        c.sides(c.locate(cell)).direction((i as f32 + 0.5) / 64.0, (j as f32 + 0.5) / 64.0).as_dvec3();
                 }
             }
             assert!((sum / 4096.0 - c.mean_direction(cell)).length() < 1e-6, "cell {cell}");

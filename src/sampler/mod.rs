@@ -108,7 +108,7 @@ pub struct Draws {
 #[derive(Debug, Default)]
 pub struct Prepared {
     /// The tessellated sampler's weights of groups.
-    pub weights: tessellated::Weights,
+    pub memo: tessellated::Memo,
     /// The tessellated sampler's numbers on their way down the hierarchy.
     pub block: tessellated::Block,
 }

@@ -29,6 +29,8 @@ pub struct Moments {
     pub y: Vec<f32>,
     /// F_t of the scalar weight.
     pub z: Vec<f32>,
+    /// |F_t|.
+    pub f: Vec<f32>,
     /// |F_t| sin(radius).
     pub s: Vec<f32>,
     /// |F_t| by the radius of the disc that spreads like the triangle.
@@ -40,12 +42,13 @@ pub struct Moments {
 impl Moments {
     fn with_len(n: usize) -> Self {
         let row = || vec![0.0; n];
-        Self { x: row(), y: row(), z: row(), s: row(), r: row(), rgb: std::array::from_fn(|_| row()) }
+        Self { x: row(), y: row(), z: row(), f: row(), s: row(), r: row(), rgb: std::array::from_fn(|_| row()) }
     }
 
     fn set(&mut self, i: usize, triangle: &Triangle) {
         let f = triangle.weight.as_vec3();
         (self.x[i], self.y[i], self.z[i]) = (f.x, f.y, f.z);
+        self.f[i] = triangle.weight.length() as f32;
         self.s[i] = triangle.s();
         self.r[i] = triangle.r();
         for (channel, f) in triangle.rgb.iter().enumerate() {
@@ -61,6 +64,36 @@ impl Moments {
     pub fn irradiance(&self, i: usize, n: Vec3) -> Vec3 {
         let channel = |c: usize| n.x * self.rgb[3 * c][i] + n.y * self.rgb[3 * c + 1][i] + n.z * self.rgb[3 * c + 2][i];
         Vec3::new(channel(0), channel(1), channel(2))
+    }
+}
+
+/// Moments of a group's leaves, together in memory: what [`Moments`] holds of them, but for the colours.
+#[derive(Debug, Clone, Copy)]
+#[repr(align(64))]
+pub struct LeafMoments {
+    /// x, y, z of F_t; |F_t|; s; r.
+    pub rows: [[f32; LEAVES_A_GROUP]; 6],
+    /// F_t a channel.
+    pub rgb: [[f32; LEAVES_A_GROUP]; 9],
+}
+
+impl Default for LeafMoments {
+    fn default() -> Self {
+        Self { rows: [[0.0; LEAVES_A_GROUP]; 6], rgb: [[0.0; LEAVES_A_GROUP]; 9] }
+    }
+}
+
+impl LeafMoments {
+    fn set(&mut self, i: usize, triangle: &Triangle) {
+        let f = triangle.weight.as_vec3();
+        let values = [f.x, f.y, f.z, triangle.weight.length() as f32, triangle.s(), triangle.r()];
+        for (row, value) in self.rows.iter_mut().zip(values) {
+            row[i] = value;
+        }
+        let rgb = triangle.rgb.iter().flat_map(|f| f.as_vec3().to_array());
+        for (row, value) in self.rgb.iter_mut().zip(rgb) {
+            row[i] = value;
+        }
     }
 }
 
@@ -134,8 +167,8 @@ pub const LEAF_LANES: usize = 8;
 pub struct Preconvolution {
     /// Groups in [`GROUP_LANES`] lanes, padded with empty ones.
     pub groups: Moments,
-    /// Leaves: those of the group in slot g at g·[`LEAVES_A_GROUP`], in [`LEAF_LANES`] lanes, padded with empty ones.
-    pub leaves: Moments,
+    /// The leaves of each group, in [`LEAF_LANES`] lanes, padded with empty ones.
+    pub leaves: Vec<LeafMoments>,
     /// The cells of each leaf as a range of the tessellation's; empty for padding.
     pub cells: Vec<Range<usize>>,
     /// How many groups there are, padding not counted.
@@ -157,7 +190,7 @@ impl Preconvolution {
         let padded = group_count.next_multiple_of(GROUP_LANES);
         let mut result = Self {
             groups: Moments::with_len(padded),
-            leaves: Moments::with_len(padded * LEAVES_A_GROUP),
+            leaves: vec![LeafMoments::default(); padded],
             cells: vec![0..0; padded * LEAVES_A_GROUP],
             group_count,
         };
@@ -165,9 +198,9 @@ impl Preconvolution {
             let g = slot(g, padded, GROUP_LANES);
             let mut whole = Triangle { weight: DVec3::ZERO, rgb: [DVec3::ZERO; 3], energy: 0.0, radius: 0.0 };
             for (i, leaf) in range.clone().enumerate() {
-                let at = g * LEAVES_A_GROUP + slot(i, LEAVES_A_GROUP, LEAF_LANES);
-                result.leaves.set(at, &leaves[leaf]);
-                result.cells[at] = tessellation.leaves[leaf].clone();
+                let at = slot(i, LEAVES_A_GROUP, LEAF_LANES);
+                result.leaves[g].set(at, &leaves[leaf]);
+                result.cells[g * LEAVES_A_GROUP + at] = tessellation.leaves[leaf].clone();
                 whole.weight += leaves[leaf].weight;
                 whole.energy += leaves[leaf].energy;
                 for (sum, f) in whole.rgb.iter_mut().zip(leaves[leaf].rgb) {

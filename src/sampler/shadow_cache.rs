@@ -54,6 +54,8 @@ pub struct ShadowCache {
 /// A record that was found.
 #[derive(Debug, Clone, Copy)]
 pub struct Record<'a> {
+    /// Where it is kept.
+    pub slot: u32,
     /// m of each group in 255ths.
     pub visibility: &'a [u8],
 }
@@ -113,7 +115,10 @@ impl ShadowCache {
         let [x, y] = [0, 1].map(|i| pixel[i] as f32 + 0.5);
         let moved = self.block_of((x + jitter[0] * side).max(0.0), (y + jitter[1] * side).max(0.0));
         let slot = self.nearest(moved, key).or_else(|| self.nearest(self.block_of(x, y), key));
-        slot.map(|slot| Record { visibility: &self.visibility[slot * self.groups..(slot + 1) * self.groups] })
+        slot.map(|slot| Record {
+            slot: slot as u32,
+            visibility: &self.visibility[slot * self.groups..(slot + 1) * self.groups],
+        })
     }
 
     fn nearest(&self, block: usize, key: u32) -> Option<usize> {

@@ -11,28 +11,36 @@
 //! sample is the error of the expectation.
 
 mod draw;
+mod irradiance;
+mod normals;
+mod pages;
+mod texels;
 mod weights;
 
 pub use draw::Block;
-pub use weights::Weights;
+pub use weights::Memo;
 
-use super::cells::{DomeCells, Place};
+use super::cells::DomeCells;
 use super::preconvolution::Preconvolution;
-use super::shadow_cache::{NO_TARGET, ShadowCache};
+use super::shadow_cache::{NO_TARGET, Record, ShadowCache};
 use super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
-use super::{CacheStats, DomeSampler, Draws, MakeSampler, Point, SamplerStats, Setup};
+use super::{CacheStats, DomeSampler, Draws, MakeSampler, Point, Prepared, SamplerStats, Setup};
 use crate::dome::Dome;
 use crate::error::Result;
 use crate::random;
 use crate::registry::{Kind, Opt, Params, Plugin};
 use crate::simd::dispatch;
-use draw::{BLOCK, Descend, LeafCounts, MOST_AT_HORIZON, NO_LEAF};
+use draw::{BLOCK, Descend, LeafCounts, MOST_AT_HORIZON};
 use glam::Vec3;
+use irradiance::{Irradiance, Sweep};
+use normals::Aim;
 use rayon::prelude::*;
 use std::io::{self, Read, Write};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Instant;
-use weights::{BELOW, CROSSING, HIGH, Weigh};
+use texels::Texels;
+use weights::{Purpose, Weigh, WeighLearned};
 
 /// The plugin.
 pub const PLUGIN: Plugin<MakeSampler> = Plugin {
@@ -53,42 +61,38 @@ pub const PLUGIN: Plugin<MakeSampler> = Plugin {
     make: |dome, params, setup| Ok(Box::new(Tessellated::new(dome, params, setup)?)),
 };
 
-/// Total of a leaf's texel counts, about.
-const CELL_COUNTS: f64 = 2_147_483_648.0;
-
 /// The sampler, prepared for one dome.
 #[derive(Debug)]
 pub struct Tessellated {
     cells: DomeCells,
     triangles: Preconvolution,
-    /// Cells leaf by leaf.
-    order: Vec<Lit>,
-    /// Where each cell's share of its leaf's counts begins; parallel to `order`.
-    begins: Vec<u32>,
-    /// Each leaf slot's cells as a range of `order`, and the sum of its counts.
-    leaves: Vec<Leaf>,
-    /// Leaf counts by energy alone, for groups high above the horizon under a control variate.
-    high: Vec<LeafCounts>,
-    /// For `pdf`: where in `order` a cell stands, and its leaf slot; empty without gloss.
+    texels: Texels,
+    /// For `pdf`: where on the curve a cell stands, and its leaf slot; empty without gloss.
     places: Vec<(u32, u32)>,
     cache: Option<ShadowCache>,
+    /// The groups as each cell of normals sees them; empty without a cache.
+    table: Vec<Irradiance>,
     /// Whether a stage has ended, so that the cache has something to say.
     warm: bool,
+    /// Never the same for two samplers or two stages: what was made for another is made anew.
+    version: u64,
     prepare_s: f64,
 }
 
-/// A cell and its radiance, together: what a sample needs comes with one line of memory.
-#[derive(Debug, Clone, Copy)]
-struct Lit {
-    place: Place,
-    radiance: [f32; 3],
+/// The groups as every cell of normals sees them.
+fn irradiances(triangles: &Preconvolution) -> Vec<Irradiance> {
+    let make = |cell| {
+        let mut irradiance = Irradiance::default();
+        dispatch(Sweep { triangles, aim: Aim::of_cell(cell), notable: 0.0, parts: true, irradiance: &mut irradiance });
+        irradiance
+    };
+    (0..normals::CELLS).into_par_iter().map(make).collect()
 }
 
-#[derive(Debug, Clone, Copy, Default)]
-struct Leaf {
-    begin: u32,
-    end: u32,
-    counts: u32,
+/// A number that was not given out before; never 0.
+fn next_version() -> u64 {
+    static LAST: AtomicU64 = AtomicU64::new(0);
+    LAST.fetch_add(1, Relaxed) + 1
 }
 
 impl Tessellated {
@@ -102,118 +106,83 @@ impl Tessellated {
         let tessellation = Tessellation::new(&cells, groups, triangles);
         let preconvolved = Preconvolution::new(&cells, &tessellation);
 
-        let leaf =
-            |members: &std::ops::Range<usize>| Leaf { begin: members.start as u32, end: members.end as u32, counts: 0 };
-        let mut leaves: Vec<Leaf> = preconvolved.cells.iter().map(leaf).collect();
-        let mut begins = vec![0; tessellation.cells.len()];
-        cell_counts(&cells, &tessellation.cells, &mut leaves, &mut begins);
-        let lit = |&cell: &u32| Lit { place: cells.locate(cell), radiance: cells.radiance(cell).to_array() };
-        let order: Vec<Lit> = tessellation.cells.par_iter().map(lit).collect();
-
+        let texels = Texels::new(&cells, &tessellation, &preconvolved);
         let mut places = Vec::new();
         if setup.gloss {
             places = vec![(u32::MAX, 0); cells.count()];
-            for (slot, leaf) in leaves.iter().enumerate() {
+            for (slot, leaf) in texels.leaves.iter().enumerate() {
                 for at in leaf.begin..leaf.end {
                     places[tessellation.cells[at as usize] as usize] = (at, slot as u32);
                 }
             }
         }
-        let slots = 0..preconvolved.groups.x.len();
-        let high = slots.map(|g| LeafCounts::of_energy(&preconvolved.leaves, g)).collect();
         let budget = params.integer("cache-mb").expect("the option has a default") << 20;
         let least = params.integer("cache-block").expect("the option has a default") as u32;
         let cache =
             params.switch("cache").then(|| ShadowCache::new(setup.size, preconvolved.groups.x.len(), budget, least));
+        let table = if cache.is_some() { irradiances(&preconvolved) } else { Vec::new() };
         let prepare_s = start.elapsed().as_secs_f64();
-        Ok(Self { cells, triangles: preconvolved, order, begins, leaves, high, places, cache, warm: false, prepare_s })
+        let version = next_version();
+        Ok(Self { cells, triangles: preconvolved, texels, places, cache, table, warm: false, version, prepare_s })
     }
 
     /// The record a point reads, and the target its rays are counted towards.
-    fn consult(&self, point: &Point, out: &mut Draws) -> (Option<&[u8]>, u32) {
+    fn consult(&self, point: &Point, out: &mut Draws) -> (Option<Record<'_>>, u32) {
         let Some(cache) = &self.cache else { return (None, NO_TARGET) };
         let target = cache.admit(point.pixel, ShadowCache::key(point.ng, point.distance, 0.0));
         if !self.warm {
             return (None, target);
         }
-        let jitter = point.numbers.word(0, 0x5ad0);
+        // One look-up's jitter a pixel: its samples then share their weights.
+        let jitter = random::combine(point.numbers.seed, 0x5ad0);
         let [a, b, c] = [jitter, random::mix(jitter), random::mix(jitter ^ 0x9e37_79b9)].map(random::unit);
         let key = ShadowCache::key(point.ng, point.distance, c - 0.5);
         let record = cache.find(point.pixel, key, [a - 0.5, b - 0.5]);
         out.lookups += 1;
         out.found += u64::from(record.is_some());
-        (record.map(|record| record.visibility), target)
+        (record, target)
     }
 
     /// Writes out a block that has come down.
-    fn emit(&self, point: &Point, count: usize, visibility: Option<&[u8]>, target: u32, out: &mut Draws) {
-        let first = out.dir.len();
-        let end = first + count;
-        out.dir.resize(end, -point.ns);
-        out.radiance.resize(end, Vec3::ZERO);
-        out.pdf.resize(end, 1.0);
+    fn emit(&self, count: usize, learned: bool, target: u32, out: &mut Draws) {
         let Draws { dir, radiance, pdf, control, target: targets, prepared, .. } = out;
-        let (dir, radiance, pdf) = (&mut dir[first..end], &mut radiance[first..end], &mut pdf[first..end]);
-        let (block, weights) = (&prepared.block, &prepared.weights);
-        for i in (0..count).filter(|&i| block.leaf[i] != NO_LEAF) {
-            let lit = self.order[block.place[i] as usize];
-            let (direction, solid_angle) = self.cells.direction(lit.place, block.x[i], block.y[i]);
-            dir[i] = direction;
-            radiance[i] = Vec3::from(lit.radiance);
-            pdf[i] = (block.probability[i] / f64::from(solid_angle)) as f32;
+        let block = &prepared.block;
+        let vector = |rows: &[[f32; BLOCK]; 3], i: usize| Vec3::new(rows[0][i], rows[1][i], rows[2][i]);
+        dir.extend((0..count).map(|i| vector(&block.dir, i)));
+        radiance.extend((0..count).map(|i| vector(&block.radiance, i)));
+        pdf.extend_from_slice(&block.pdf[..count]);
+        if learned {
+            control.extend((0..count).map(|i| vector(&block.radiance, i) * block.factor[i]));
         }
-        if let Some(visibility) = visibility {
-            control.extend((0..count).map(|i| {
-                // The control variate covers what the exact integral does.
-                let group = block.group[i] as usize;
-                let covered = match weights.status[group] {
-                    BELOW => false,
-                    CROSSING => block.above[i] == 1,
-                    _ => true,
-                };
-                let b = if covered { f32::from(visibility[group]) * (1.0 / 255.0) } else { 0.0 };
-                radiance[i] * (b * dir[i].dot(point.ns))
-            }));
-        }
-        if self.cache.is_some() {
-            targets.extend((0..count).map(|i| {
-                let counts = block.leaf[i] != NO_LEAF && target != NO_TARGET;
-                if counts { target + block.group[i] } else { NO_TARGET }
-            }));
+        if target != NO_TARGET {
+            targets.extend(block.group[..count].iter().map(|group| target + group));
+        } else if self.cache.is_some() {
+            targets.resize(targets.len() + count, NO_TARGET);
         }
     }
-}
-
-/// Makes the integer CDF of every leaf's cells: at least one count each.
-fn cell_counts(cells: &DomeCells, order: &[u32], leaves: &mut [Leaf], begins: &mut [u32]) {
-    // Hand every leaf its own piece, in the order in which they follow each other.
-    let mut pieces = Vec::with_capacity(leaves.len());
-    let mut rest = begins;
-    let mut in_order: Vec<&mut Leaf> = leaves.iter_mut().filter(|leaf| leaf.end > leaf.begin).collect();
-    in_order.sort_unstable_by_key(|leaf| leaf.begin);
-    for leaf in in_order {
-        let (piece, after) = rest.split_at_mut((leaf.end - leaf.begin) as usize);
-        rest = after;
-        pieces.push((leaf, piece));
-    }
-    pieces.into_par_iter().for_each(|(leaf, piece)| {
-        let members = &order[leaf.begin as usize..leaf.end as usize];
-        let total: f64 = members.iter().map(|&cell| cells.energy(cell)).sum();
-        let mut at = 0u32;
-        for (begin, &cell) in piece.iter_mut().zip(members) {
-            *begin = at;
-            at += (cells.energy(cell) / total * CELL_COUNTS) as u32 + 1;
-        }
-        leaf.counts = at;
-    });
 }
 
 impl DomeSampler for Tessellated {
     fn draw(&self, point: &Point, n: u32, out: &mut Draws) {
         out.clear();
-        let (visibility, target) = self.consult(point, out);
-        let weights = &mut out.prepared.weights;
-        out.integral = dispatch(Weigh { triangles: &self.triangles, normal: point.ns, rays: n, visibility, weights });
+        let (record, target) = self.consult(point, out);
+        let Self { triangles, version, .. } = self;
+        let purpose = |aim, record| Purpose { version: *version, aim, rays: n, record };
+        let weights = match record {
+            Some(Record { slot, visibility }) => {
+                let irradiance = &self.table[normals::cell_of(point.ns)];
+                let purpose = purpose(irradiance.aim, Some(slot));
+                out.prepared.memo.get(&purpose, |weights| {
+                    dispatch(WeighLearned { triangles, irradiance, purpose, visibility, weights })
+                })
+            }
+            None => {
+                // Without a control variate the density is all there is: made for the very normal.
+                let purpose = purpose(Aim::exact(point.ns), None);
+                out.prepared.memo.get(&purpose, |weights| dispatch(Weigh { triangles, purpose, weights }))
+            }
+        };
+        out.integral = weights.integral(point.ns);
         if weights.total == 0 {
             // Nothing shines on this side.
             out.dir.push(-point.ns);
@@ -223,44 +192,46 @@ impl DomeSampler for Tessellated {
         }
         for first in (0..n).step_by(BLOCK) {
             let count = (n - first).min(BLOCK as u32) as usize;
-            let prepared = &mut out.prepared;
+            let Prepared { memo, block } = &mut out.prepared;
             dispatch(Descend {
                 sampler: self,
-                weights: &prepared.weights,
+                weights: memo.current(),
                 normal: point.ns,
                 numbers: point.numbers,
                 first,
                 count,
                 of: n,
-                controlled: visibility.is_some(),
-                block: &mut prepared.block,
+                block,
             });
-            self.emit(point, count, visibility, target, out);
+            self.emit(count, record.is_some(), target, out);
         }
     }
 
-    fn pdf(&self, point: &Point, drawn: &Draws, dir: Vec3, texel: u32) -> f32 {
-        let weights = &drawn.prepared.weights;
+    fn pdf(&self, _point: &Point, drawn: &Draws, dir: Vec3, texel: u32) -> f32 {
+        let weights = drawn.prepared.memo.current();
         let cell = self.cells.cell(dir, texel);
         let (place, slot) = match self.places.get(cell as usize) {
             Some(&(place, slot)) if place != u32::MAX && weights.total > 0 => (place, slot as usize),
             _ => return 0.0,
         };
-        let group = slot / LEAVES_A_GROUP;
-        // As `draw` chose them.
-        let high = weights.status[group] == HIGH && !drawn.control.is_empty();
-        let counts = if high { self.high[group] } else { LeafCounts::new(&self.triangles.leaves, group, point.ns) };
+        let (group, leaf_of_group) = (slot / LEAVES_A_GROUP, slot % LEAVES_A_GROUP);
         let share = |width: u32, of: u32| if of == 0 { 0.0 } else { f64::from(width) / f64::from(of) };
-        let leaf = self.leaves[slot];
-        let (width, of) = if !counts.above(slot % LEAVES_A_GROUP) && leaf.end - leaf.begin <= MOST_AT_HORIZON {
-            let width = |place| self.horizon_width(leaf, place, point.ns);
-            (width(place), (leaf.begin..leaf.end).map(width).sum())
+        let width = self.texels.counts(place, group as u32).1;
+        // As `draw` chose them.
+        let in_group = if weights.goes_by_energy(group) {
+            share(width, self.texels.groups[group].counts)
         } else {
-            (self.cell_width(leaf, place), leaf.counts)
+            let counts = LeafCounts::new(&self.triangles.leaves[group], weights.aim());
+            let leaf = self.texels.leaves[slot];
+            let in_leaf = if !counts.above(leaf_of_group) && leaf.end - leaf.begin <= MOST_AT_HORIZON {
+                let width = |place| self.horizon_width(place, group as u32, weights.aim());
+                share(width(place), (leaf.begin..leaf.end).map(width).sum())
+            } else {
+                share(width, leaf.counts)
+            };
+            share(counts.widths[leaf_of_group], counts.total) * in_leaf
         };
-        let probability = share(weights.widths[group], weights.total)
-            * share(counts.widths[slot % LEAVES_A_GROUP], counts.total)
-            * share(width, of);
+        let probability = share(weights.widths[group], weights.total) * in_group;
         (probability / self.cells.solid_angle(cell)) as f32
     }
 
@@ -286,6 +257,7 @@ impl DomeSampler for Tessellated {
         if let Some(cache) = &mut self.cache {
             cache.freeze();
             self.warm = true;
+            self.version = next_version();
         }
     }
 
@@ -311,11 +283,11 @@ impl DomeSampler for Tessellated {
     }
 
     fn stats(&self) -> SamplerStats {
-        let moments = 13 * 4 * (self.triangles.groups.x.len() + self.triangles.leaves.x.len());
-        let bytes = moments + 20 * self.order.len() + 8 * self.places.len() + 12 * self.leaves.len();
+        let moments = 15 * 4 * (self.triangles.groups.x.len() + self.texels.leaves.len());
+        let bytes = moments + self.texels.bytes() + size_of_val(&self.places[..]);
         SamplerStats {
             prepare_s: self.prepare_s,
-            triangles: self.leaves.iter().filter(|leaf| leaf.end > leaf.begin).count() as u64,
+            triangles: self.texels.leaves.iter().filter(|leaf| leaf.end > leaf.begin).count() as u64,
             groups: self.triangles.group_count as u64,
             bytes: bytes as u64,
             cache: self.cache.as_ref().map(|cache| {
@@ -360,7 +332,7 @@ mod tests {
             sampler.draw(&point(n, 1), 16, &mut draws);
             let mut sum = 0.0;
             for cell in 0..sampler.cells.count() as u32 {
-                let (dir, _) = sampler.cells.direction(sampler.cells.locate(cell), 0.5, 0.5);
+                let dir = sampler.cells.sides(sampler.cells.locate(cell)).direction(0.5, 0.5);
                 let pdf = sampler.pdf(&point(n, 1), &draws, dir, dome.grid.texel(dir));
                 sum += f64::from(pdf) * sampler.cells.solid_angle(cell);
             }

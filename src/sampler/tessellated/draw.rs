@@ -3,14 +3,19 @@
 //! Each level is a loop of its own over the block: what is arithmetic runs in vector registers, what waits for memory
 //! (the search in a leaf's cells) has a block of independent searches in flight.
 
-use super::weights::{HIGH, Weights, leaves_of, sum};
-use super::{Leaf, Tessellated};
+use super::Tessellated;
+use super::irradiance::{Leaves, sum};
+use super::normals::Aim;
+use super::texels::{Lit, Span};
+use super::weights::Weights;
 use crate::random;
 use crate::sampler::Numbers;
-use crate::sampler::preconvolution::{GROUP_LANES, LEAF_LANES, Moments, soft};
+use crate::sampler::cells::{DrawRow, Place, Sides};
+use crate::sampler::preconvolution::{GROUP_LANES, LEAF_LANES, LeafMoments};
 use crate::sampler::tessellation::LEAVES_A_GROUP;
 use crate::simd::Kernel;
 use glam::Vec3;
+use std::hint::select_unpredictable;
 
 /// Total of a group's leaf counts, about.
 const LEAF_COUNTS: f32 = 1_048_576.0;
@@ -29,25 +34,38 @@ pub struct Block {
     offset: [u32; BLOCK],
     width: [u32; BLOCK],
     /// Product of width/total so far.
-    pub(super) probability: [f64; BLOCK],
+    probability: [f64; BLOCK],
     /// Counts of the next level.
     total: [u32; BLOCK],
     /// The slot of the group.
     pub(super) group: [u32; BLOCK],
-    /// The slot of the leaf; [`NO_LEAF`] when the group turned out to have none above the horizon.
-    pub(super) leaf: [u32; BLOCK],
-    /// 1 where the leaf lies wholly above the horizon.
-    pub(super) above: [u32; BLOCK],
-    /// Where in the order of cells.
-    pub(super) place: [u32; BLOCK],
-    /// Where in the cell.
-    pub(super) x: [f32; BLOCK],
-    /// Where in the cell.
-    pub(super) y: [f32; BLOCK],
+    /// The slot of the leaf, [`WHOLE_GROUP`] or [`NO_LEAF`].
+    leaf: [u32; BLOCK],
+    /// First and last cell that it may be, along the curve.
+    low: [u32; BLOCK],
+    high: [u32; BLOCK],
+    /// What the control variate takes the visibility for.
+    control: [f32; BLOCK],
+    /// Row and column of the cell.
+    place: [Place; BLOCK],
+    /// Its sides: cosine and sine of its middle's azimuth; 1 − |y| and its change, the sign of y.
+    cell: [[f32; BLOCK]; 5],
+    /// What is drawn: a direction, its radiance, its density.
+    pub(super) dir: [[f32; BLOCK]; 3],
+    pub(super) radiance: [[f32; BLOCK]; 3],
+    pub(super) pdf: [f32; BLOCK],
+    /// b (n·ω): the control variate by the radiance.
+    pub(super) factor: [f32; BLOCK],
 }
 
-/// See [`Block::leaf`].
-pub(super) const NO_LEAF: u32 = u32::MAX;
+/// The group turned out to have no light above the horizon.
+const NO_LEAF: u32 = u32::MAX;
+
+/// Set in a leaf's slot where the leaf crosses the horizon.
+const AT_HORIZON: u32 = 1 << 31;
+
+/// The cell is drawn from the group's own CDF, by energy alone.
+const WHOLE_GROUP: u32 = u32::MAX - 1;
 
 impl Default for Block {
     fn default() -> Self {
@@ -60,15 +78,20 @@ impl Default for Block {
             total: [0; BLOCK],
             group: [0; BLOCK],
             leaf: [0; BLOCK],
-            above: [0; BLOCK],
-            place: [0; BLOCK],
-            x: [0.0; BLOCK],
-            y: [0.0; BLOCK],
+            low: [0; BLOCK],
+            high: [0; BLOCK],
+            control: [0.0; BLOCK],
+            place: [Place::default(); BLOCK],
+            cell: [[0.0; BLOCK]; 5],
+            dir: [[0.0; BLOCK]; 3],
+            radiance: [[0.0; BLOCK]; 3],
+            pdf: [0.0; BLOCK],
+            factor: [0.0; BLOCK],
         }
     }
 }
 
-/// Leads numbers `first..first + count` of `of` from the top to a place in a cell.
+/// Leads numbers `first..first + count` of `of` from the top to a direction.
 pub(super) struct Descend<'a> {
     pub(super) sampler: &'a Tessellated,
     pub(super) weights: &'a Weights,
@@ -77,8 +100,6 @@ pub(super) struct Descend<'a> {
     pub(super) first: u32,
     pub(super) count: usize,
     pub(super) of: u32,
-    /// Whether a control variate takes out the cosine's change inside groups.
-    pub(super) controlled: bool,
     pub(super) block: &'a mut Block,
 }
 
@@ -87,15 +108,16 @@ impl Kernel for Descend<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { sampler, weights, normal, numbers, first, count, of, controlled, block } = self;
+        let Self { sampler, weights, normal, numbers, first, count, of, block } = self;
         let step = f64::from(weights.total) / f64::from(of);
+        // Loops of arithmetic alone run over whole registers, whatever stands in the rest.
         let padded = count.next_multiple_of(16).min(BLOCK);
         for i in 0..padded {
             let index = first + i as u32;
             let stratum = numbers.within_stratum(index);
             let fresh = numbers.word(index, 1);
             let fraction = f64::from(stratum) * 2f64.powi(-32) + f64::from(fresh >> 12) * 2f64.powi(-52);
-            block.at[i] = (((f64::from(index) + fraction) * step) as u32).min(weights.total - 1);
+            block.at[i] = whole((f64::from(index) + fraction) * step).min(weights.total - 1);
             block.fresh[i] = fresh;
         }
         block.groups(weights, count);
@@ -103,19 +125,32 @@ impl Kernel for Descend<'_> {
         for i in 0..padded {
             block.probability[i] = f64::from(block.width[i]) / total;
         }
-        block.leaves(sampler, weights, normal, controlled, count);
+        block.leaves(sampler, weights, count);
         for i in 0..padded {
-            block.probability[i] *= f64::from(block.width[i]) / f64::from(block.total[i]);
+            block.at[i] = whole(remainder(block, i) * f64::from(block.total[i])).min(block.total[i].wrapping_sub(1));
         }
-        block.cells(sampler, normal, count);
+        block.cells(sampler, weights.aim(), count);
+        let half_azimuth = sampler.cells.half_azimuth;
         for i in 0..padded {
-            block.probability[i] *= f64::from(block.width[i]) / f64::from(block.total[i]);
+            let probability = block.probability[i] as f32 * (block.width[i] as f32 / block.total[i] as f32);
+            block.pdf[i] = probability / block.pdf[i];
             // The last of the number, digit by digit to the two sides of the cell; fresh digits below.
-            let z = (remainder(block, i) * 65536.0) as u32;
-            let fresh = random::mix(block.fresh[i] ^ 0x1715_609d);
+            let fresh = random::mix(block.fresh[i] ^ 0x3c6e_f372);
+            let rest = (block.offset[i] as f32 + random::unit(fresh)) / block.width[i] as f32;
+            let z = ((rest * 65536.0) as i32 as u32).min(0xffff);
+            let fresh = random::mix(fresh ^ 0x1715_609d);
             let side = |z: u32, low: u32| (compact(z) << 16 | low) as i32 as f32 * (1.0 / 16_777_216.0);
-            block.x[i] = side(z, fresh & 0xffff);
-            block.y[i] = side(z >> 1, fresh >> 16);
+            let cell = &block.cell;
+            let (cos, sin, t, dt, sign) = (cell[0][i], cell[1][i], cell[2][i], cell[3][i], cell[4][i]);
+            let sides = Sides { half_azimuth, cos, sin, row: DrawRow { t, dt, sign, solid_angle: 0.0 } };
+            let dir = sides.direction(side(z, fresh & 0xffff), side(z >> 1, fresh >> 16));
+            block.factor[i] = block.control[i] * dir.dot(normal);
+            (block.dir[0][i], block.dir[1][i], block.dir[2][i]) = (dir.x, dir.y, dir.z);
+        }
+        for i in 0..count {
+            if block.leaf[i] == NO_LEAF {
+                block.nothing(normal, i);
+            }
         }
     }
 }
@@ -128,88 +163,138 @@ fn remainder(block: &mut Block, i: usize) -> f64 {
     (f64::from(block.offset[i]) + f64::from(fresh) * 2f64.powi(-32)) / f64::from(block.width[i])
 }
 
+/// The whole part of a number in [0, 2³²). The digits of a double beyond 2⁵² are whole: vector units do that, and the
+/// language's conversion, which minds all other numbers too, they don't. (A whole odd number loses one.)
+#[inline(always)]
+fn whole(x: f64) -> u32 {
+    (x - 0.5 + 2f64.powi(52)).to_bits() as u32
+}
+
 impl Block {
     #[inline(always)]
     fn groups(&mut self, weights: &Weights, count: usize) {
-        let rows = weights.begins.len() / GROUP_LANES;
+        let Self { at, low: lane, group: row, offset, width, .. } = self;
         for i in 0..count {
-            let at = self.at[i];
-            let lane = last_begun(&weights.lanes, at);
-            let at = at - weights.lanes[lane];
-            let (mut row, mut size) = (0, rows);
-            while size > 1 {
-                let half = size / 2;
-                row += half * usize::from(weights.begins[(row + half) * GROUP_LANES + lane] <= at);
-                size -= half;
+            lane[i] = last_begun(&weights.lanes, at[i]);
+            at[i] -= weights.lanes[lane[i] as usize];
+            row[i] = 0;
+        }
+        // All numbers a step at a time: their look-ups don't wait for each other.
+        let mut size = weights.begins.len() / GROUP_LANES;
+        while size > 1 {
+            let half = (size / 2) as u32;
+            for i in 0..count {
+                let begun = weights.begins[(row[i] + half) as usize * GROUP_LANES + lane[i] as usize] <= at[i];
+                row[i] = select_unpredictable(begun, row[i] + half, row[i]);
             }
-            let group = row * GROUP_LANES + lane;
-            self.group[i] = group as u32;
-            self.offset[i] = at - weights.begins[group];
-            self.width[i] = weights.widths[group];
+            size -= size / 2;
+        }
+        for i in 0..count {
+            let group = row[i] as usize * GROUP_LANES + lane[i] as usize;
+            (row[i], offset[i], width[i]) = (group as u32, at[i] - weights.begins[group], weights.widths[group]);
         }
     }
 
+    /// Where the cosine matters, a leaf first: without a control variate, and at the horizon.
     #[inline(always)]
-    fn leaves(&mut self, sampler: &Tessellated, weights: &Weights, normal: Vec3, controlled: bool, count: usize) {
+    fn leaves(&mut self, sampler: &Tessellated, weights: &Weights, count: usize) {
         let mut made = LeafCounts::default();
         let mut made_for = u32::MAX;
         for i in 0..count {
             let group = self.group[i];
-            let counts = if controlled && weights.status[group as usize] == HIGH {
-                &sampler.high[group as usize]
-            } else {
-                if group != made_for {
-                    made = LeafCounts::new(&sampler.triangles.leaves, group as usize, normal);
-                    made_for = group;
-                }
-                &made
-            };
-            self.total[i] = counts.total.max(1);
-            if counts.total == 0 {
-                // The group's cone crosses the horizon, none of its cells does: it holds no light for this normal.
-                (self.leaf[i], self.offset[i], self.width[i]) = (NO_LEAF, 0, 1);
+            self.control[i] = weights.control[group as usize];
+            if weights.goes_by_energy(group as usize) {
+                (self.leaf[i], self.total[i]) = (WHOLE_GROUP, sampler.texels.groups[group as usize].counts);
                 continue;
             }
-            let at = ((remainder(self, i) * f64::from(counts.total)) as u32).min(counts.total - 1);
-            let slot = counts.find(at);
-            self.leaf[i] = group * LEAVES_A_GROUP as u32 + slot as u32;
-            self.above[i] = u32::from(counts.above(slot));
-            self.offset[i] = at - counts.lanes[slot % LEAF_LANES] - counts.begins[slot];
-            self.width[i] = counts.widths[slot];
+            if group != made_for {
+                made = LeafCounts::new(&sampler.triangles.leaves[group as usize], weights.aim());
+                made_for = group;
+            }
+            self.leaf(sampler, &made, i);
         }
     }
 
     #[inline(always)]
-    fn cells(&mut self, sampler: &Tessellated, normal: Vec3, count: usize) {
+    fn leaf(&mut self, sampler: &Tessellated, counts: &LeafCounts, i: usize) {
+        if counts.total == 0 {
+            // The group's cone crosses the horizon, none of its leaves' cones does: it holds no light for this normal.
+            (self.leaf[i], self.offset[i], self.width[i], self.total[i]) = (NO_LEAF, 0, 1, 1);
+            return;
+        }
+        let at = ((remainder(self, i) * f64::from(counts.total)) as u32).min(counts.total - 1);
+        let slot = counts.find(at);
+        let leaf = self.group[i] * LEAVES_A_GROUP as u32 + slot as u32;
+        self.offset[i] = at - counts.lanes[slot % LEAF_LANES] - counts.begins[slot];
+        self.width[i] = counts.widths[slot];
+        self.probability[i] *= f64::from(self.width[i]) / f64::from(counts.total);
+        (self.leaf[i], self.total[i]) = (leaf, sampler.texels.leaves[leaf as usize].counts);
+        if !counts.above(slot) {
+            // The control variate covers what its integral does.
+            self.control[i] = 0.0;
+            self.leaf[i] |= AT_HORIZON;
+        }
+    }
+
+    #[inline(always)]
+    fn cells(&mut self, sampler: &Tessellated, aim: Aim, count: usize) {
+        let texels = &sampler.texels;
         for i in 0..count {
-            if self.leaf[i] != NO_LEAF {
-                self.total[i] = sampler.leaves[self.leaf[i] as usize].counts;
+            (self.low[i], self.high[i]) = match self.leaf[i] {
+                WHOLE_GROUP => texels.bounds(self.group[i] as usize, self.at[i]),
+                NO_LEAF => (0, 0),
+                leaf => {
+                    let leaf = texels.leaves[(leaf & !AT_HORIZON) as usize];
+                    self.at[i] += leaf.first;
+                    (leaf.begin, leaf.end - 1)
+                }
+            };
+        }
+        texels.find(&mut self.low[..count], &mut self.high[..count], &self.at[..count]);
+        for i in 0..count {
+            let (begin, width) = texels.counts(self.low[i], self.group[i]);
+            (self.offset[i], self.width[i]) = (self.at[i] - begin, width);
+        }
+        for i in 0..count {
+            let leaf = self.leaf[i];
+            if leaf < WHOLE_GROUP && leaf & AT_HORIZON != 0 {
+                self.horizon(sampler, texels.leaves[(leaf & !AT_HORIZON) as usize], aim, i);
             }
         }
-        for i in 0..count.next_multiple_of(16).min(BLOCK) {
-            self.at[i] = ((remainder(self, i) * f64::from(self.total[i])) as u32).min(self.total[i].wrapping_sub(1));
-        }
+        let order = texels.order();
         for i in 0..count {
-            if self.leaf[i] == NO_LEAF {
-                continue;
-            }
-            let leaf = sampler.leaves[self.leaf[i] as usize];
-            if self.above[i] == 0 && leaf.end - leaf.begin <= MOST_AT_HORIZON {
-                self.horizon(sampler, leaf, normal, i);
-                continue;
-            }
-            let place = sampler.find_cell(leaf, self.at[i]);
+            let Lit { place, radiance } = order[self.low[i] as usize];
             self.place[i] = place;
-            self.offset[i] = self.at[i] - sampler.begins[place as usize];
-            self.width[i] = sampler.cell_width(leaf, place);
+            (self.radiance[0][i], self.radiance[1][i], self.radiance[2][i]) = (radiance[0], radiance[1], radiance[2]);
         }
+        for i in 0..count {
+            let Sides { cos, sin, row: DrawRow { t, dt, sign, solid_angle }, .. } = sampler.cells.sides(self.place[i]);
+            let cell = &mut self.cell;
+            (cell[0][i], cell[1][i], cell[2][i], cell[3][i], cell[4][i]) = (cos, sin, t, dt, sign);
+            self.pdf[i] = solid_angle;
+        }
+    }
+
+    /// Straight below, without light: a draw that counts, and that is all.
+    #[inline(never)]
+    fn nothing(&mut self, normal: Vec3, i: usize) {
+        for (row, value) in self.dir.iter_mut().zip((-normal).to_array()) {
+            row[i] = value;
+        }
+        for row in &mut self.radiance {
+            row[i] = 0.0;
+        }
+        (self.pdf[i], self.factor[i]) = (1.0, 0.0);
     }
 
     /// A cell of a leaf that crosses the horizon, by energy times cosine. Few samples come here; half of them would go
     /// below the horizon otherwise.
     #[inline(never)]
-    fn horizon(&mut self, sampler: &Tessellated, leaf: Leaf, normal: Vec3, i: usize) {
-        let total: u32 = (leaf.begin..leaf.end).map(|place| sampler.horizon_width(leaf, place, normal)).sum();
+    fn horizon(&mut self, sampler: &Tessellated, leaf: Span, aim: Aim, i: usize) {
+        if leaf.end - leaf.begin > MOST_AT_HORIZON {
+            return;
+        }
+        let total: u32 = (leaf.begin..leaf.end).map(|place| sampler.horizon_width(place, self.group[i], aim)).sum();
         self.total[i] = total.max(1);
         if total == 0 {
             (self.leaf[i], self.offset[i], self.width[i]) = (NO_LEAF, 0, 1);
@@ -217,13 +302,13 @@ impl Block {
         }
         // The position among the leaf's counts, fresh digits below, carried over to the counts here.
         let fresh = f64::from(random::mix(self.fresh[i] ^ 0x2545_f491)) * 2f64.powi(-32);
-        let share = (f64::from(self.at[i]) + fresh) / f64::from(leaf.counts);
+        let share = (f64::from(self.at[i] - leaf.first) + fresh) / f64::from(leaf.counts);
         let at = ((share * f64::from(total)) as u32).min(total - 1);
         let mut begin = 0;
         for place in leaf.begin..leaf.end {
-            let width = sampler.horizon_width(leaf, place, normal);
+            let width = sampler.horizon_width(place, self.group[i], aim);
             if at < begin + width {
-                (self.place[i], self.offset[i], self.width[i]) = (place, at - begin, width);
+                (self.low[i], self.offset[i], self.width[i]) = (place, at - begin, width);
                 return;
             }
             begin += width;
@@ -252,31 +337,15 @@ impl Default for LeafCounts {
 }
 
 impl LeafCounts {
-    /// By irradiance on a surface with normal `n`.
+    /// By irradiance on surfaces with normals about `axis`.
     #[inline(always)]
-    pub(super) fn new(leaves: &Moments, group: usize, n: Vec3) -> Self {
-        let first = group * LEAVES_A_GROUP;
-        let (x, y, z) = (leaves_of(&leaves.x, first), leaves_of(&leaves.y, first), leaves_of(&leaves.z, first));
-        let (s, r) = (leaves_of(&leaves.s, first), leaves_of(&leaves.r, first));
-        let mut e = [0.0f32; LEAVES_A_GROUP];
-        let mut high = [0u8; LEAVES_A_GROUP];
-        for i in 0..LEAVES_A_GROUP {
-            let d = n.x * x[i] + n.y * y[i] + n.z * z[i];
-            e[i] = soft(d, s[i], r[i]);
-            high[i] = if d >= s[i] { 1 } else { 0 };
-        }
+    pub(super) fn new(leaves: &LeafMoments, aim: Aim) -> Self {
+        let of_group = Leaves::new(leaves, aim);
         let mut above = 0;
-        for (i, &high) in high.iter().enumerate() {
-            above |= u64::from(high) << i;
+        for (i, &high) in of_group.above.iter().enumerate() {
+            above |= u64::from(high > 0.0) << i;
         }
-        Self { above, ..Self::from_weights(&e) }
-    }
-
-    /// By energy.
-    pub(super) fn of_energy(leaves: &Moments, group: usize) -> Self {
-        let first = group * LEAVES_A_GROUP;
-        let energy = |i: usize| Vec3::new(leaves.x[first + i], leaves.y[first + i], leaves.z[first + i]).length();
-        Self { above: u64::MAX, ..Self::from_weights(&std::array::from_fn(energy)) }
+        Self { above, ..Self::from_weights(&of_group.irradiance) }
     }
 
     #[inline(always)]
@@ -312,7 +381,7 @@ impl LeafCounts {
     /// The slot that count `at` falls to.
     #[inline(always)]
     fn find(&self, at: u32) -> usize {
-        let lane = last_begun(&self.lanes, at);
+        let lane = last_begun(&self.lanes, at) as usize;
         let at = at - self.lanes[lane];
         let mut row = 0;
         for next in 1..LEAVES_A_GROUP / LEAF_LANES {
@@ -326,43 +395,23 @@ impl LeafCounts {
 
 /// The last lane that begins at or before `at`; empty lanes begin where their successor does.
 #[inline(always)]
-fn last_begun<const N: usize>(lanes: &[u32; N], at: u32) -> usize {
+fn last_begun<const N: usize>(lanes: &[u32; N], at: u32) -> u32 {
     let mut begun = 0;
     for &begin in lanes {
         begun += u32::from(begin <= at);
     }
-    begun as usize - 1
+    begun - 1
 }
 
 impl Tessellated {
-    /// The cell of `leaf` that count `at` falls to: its place in `order`.
-    #[inline(always)]
-    fn find_cell(&self, leaf: Leaf, at: u32) -> u32 {
-        let begins = &self.begins[leaf.begin as usize..leaf.end as usize];
-        let (mut low, mut size) = (0, begins.len());
-        while size > 1 {
-            let half = size / 2;
-            // Arithmetic, not a branch: which way it goes is a coin's toss, and the next search is waiting.
-            low += half * usize::from(begins[low + half] <= at);
-            size -= half;
-        }
-        leaf.begin + low as u32
-    }
-
     /// The counts of a cell in a leaf that crosses the horizon: positive wherever a part of it is above.
-    pub(super) fn horizon_width(&self, leaf: Leaf, place: u32, normal: Vec3) -> u32 {
-        let center = self.cells.direction(self.order[place as usize].place, 0.5, 0.5).0;
-        let cosine = center.dot(normal) + self.cells.half_diagonal() as f32;
+    pub(super) fn horizon_width(&self, place: u32, group: u32, aim: Aim) -> u32 {
+        let center = self.cells.sides(self.texels.order()[place as usize].place).direction(0.5, 0.5);
+        let cosine = center.dot(aim.axis) + self.cells.half_diagonal() as f32 + aim.radius;
         if cosine <= 0.0 {
             return 0;
         }
-        (f64::from(self.cell_width(leaf, place)) * f64::from(cosine.min(1.0))) as u32 + 1
-    }
-
-    #[inline(always)]
-    pub(super) fn cell_width(&self, leaf: Leaf, place: u32) -> u32 {
-        let end = if place + 1 < leaf.end { self.begins[place as usize + 1] } else { leaf.counts };
-        end - self.begins[place as usize]
+        (f64::from(self.texels.counts(place, group).1) * f64::from(cosine.min(1.0))) as u32 + 1
     }
 }
 

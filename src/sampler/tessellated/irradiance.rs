@@ -1,0 +1,134 @@
+//! The groups' irradiance on a surface: how much light each sends, where it lies, and what of it is exact.
+
+use super::normals::Aim;
+use crate::sampler::preconvolution::{LeafMoments, Preconvolution, soft};
+use crate::sampler::tessellation::LEAVES_A_GROUP;
+use crate::simd::Kernel;
+
+/// Below the horizon, or crossing it with next to no light: the control variate leaves it out.
+pub(super) const BELOW: u8 = 0;
+/// Wholly above the horizon: exact.
+pub(super) const ABOVE: u8 = 1;
+/// Crossing the horizon: exact for its leaves above.
+pub(super) const CROSSING: u8 = 2;
+
+/// Nine sums: x, y, z of red, of green, of blue.
+pub(super) type Flux = [f32; 9];
+
+/// What lies above the horizon of a group that crosses it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Part {
+    pub(super) group: u32,
+    /// Σ F of its leaves above.
+    pub(super) flux: Flux,
+}
+
+/// The groups as surfaces with normals about one axis see them.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Irradiance {
+    /// Which surfaces.
+    pub(super) aim: Aim,
+    /// Each group's irradiance, about; positive wherever light comes from.
+    pub(super) importance: Vec<f32>,
+    /// [`BELOW`], [`ABOVE`] or [`CROSSING`].
+    pub(super) status: Vec<u8>,
+    /// Of the groups that cross the horizon, if asked for.
+    pub(super) parts: Vec<Part>,
+}
+
+/// Makes an [`Irradiance`].
+pub(super) struct Sweep<'a> {
+    pub(super) triangles: &'a Preconvolution,
+    pub(super) aim: Aim,
+    /// Groups at the horizon that hold less than this share of the light are not summed up leaf by leaf.
+    pub(super) notable: f32,
+    /// Whether a control variate will ask for what is exact.
+    pub(super) parts: bool,
+    pub(super) irradiance: &'a mut Irradiance,
+}
+
+impl Kernel for Sweep<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { triangles, aim: Aim { axis: n, radius }, notable, parts, irradiance } = self;
+        let groups = &triangles.groups;
+        let count = groups.x.len();
+        irradiance.aim = Aim { axis: n, radius };
+        irradiance.importance.resize(count, 0.0);
+        irradiance.status.resize(count, 0);
+        irradiance.parts.clear();
+        let importance = &mut irradiance.importance[..count];
+        let status = &mut irradiance.status[..count];
+        let (x, y, z) = (&groups.x[..count], &groups.y[..count], &groups.z[..count]);
+        let (f, s, r) = (&groups.f[..count], &groups.s[..count], &groups.r[..count]);
+        for g in 0..count {
+            let d = n.x * x[g] + n.y * y[g] + n.z * z[g];
+            let wider = f[g] * radius;
+            importance[g] = soft(d, s[g] + wider, r[g] + wider);
+            status[g] = if d >= s[g] && f[g] > 0.0 { ABOVE } else { BELOW };
+        }
+        let notable = notable * sum(importance);
+        for g in 0..count {
+            if status[g] == BELOW && importance[g] > notable {
+                let leaves = Leaves::new(&triangles.leaves[g], Aim { axis: n, radius });
+                importance[g] = sum(&leaves.irradiance);
+                status[g] = CROSSING;
+                if parts {
+                    irradiance.parts.push(Part { group: g as u32, flux: leaves.flux(&triangles.leaves[g]) });
+                }
+            }
+        }
+    }
+}
+
+/// A group's leaves as the surface sees them.
+pub(super) struct Leaves {
+    pub(super) irradiance: [f32; LEAVES_A_GROUP],
+    /// 1 where the leaf lies wholly above the horizon, else 0.
+    pub(super) above: [f32; LEAVES_A_GROUP],
+}
+
+impl Leaves {
+    #[inline(always)]
+    pub(super) fn new(leaves: &LeafMoments, Aim { axis: n, radius }: Aim) -> Self {
+        let [x, y, z, f, s, r] = &leaves.rows;
+        let (mut irradiance, mut above) = ([0.0; LEAVES_A_GROUP], [0.0; LEAVES_A_GROUP]);
+        for i in 0..LEAVES_A_GROUP {
+            let d = n.x * x[i] + n.y * y[i] + n.z * z[i];
+            let wider = f[i] * radius;
+            irradiance[i] = soft(d, s[i] + wider, r[i] + wider);
+            above[i] = if d >= s[i] { 1.0 } else { 0.0 };
+        }
+        Self { irradiance, above }
+    }
+
+    #[inline(always)]
+    fn flux(&self, leaves: &LeafMoments) -> Flux {
+        let mut flux = [0.0; 9];
+        for (flux, row) in flux.iter_mut().zip(&leaves.rgb) {
+            let mut products = [0.0; LEAVES_A_GROUP];
+            for i in 0..LEAVES_A_GROUP {
+                products[i] = self.above[i] * row[i];
+            }
+            *flux = sum(&products);
+        }
+        flux
+    }
+}
+
+/// Lanes of a sum: vector code without reassociating what the source says.
+pub(super) const LANES: usize = 16;
+
+/// A sum over lanes.
+#[inline(always)]
+pub(super) fn sum(values: &[f32]) -> f32 {
+    let mut lanes = [0.0f32; LANES];
+    for chunk in values.as_chunks::<LANES>().0 {
+        for i in 0..LANES {
+            lanes[i] += chunk[i];
+        }
+    }
+    lanes.iter().sum()
+}

@@ -1,0 +1,166 @@
+//! The dome's cells in the order of the curve, and each group's integer CDF over them.
+
+use super::super::cells::{DomeCells, Place};
+use super::super::preconvolution::Preconvolution;
+use super::super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
+use super::pages::Row;
+use bytemuck::{Pod, Zeroable};
+use rayon::prelude::*;
+use std::hint::select_unpredictable;
+use std::ops::Range;
+
+/// Counts a group's cells share out, at most.
+const COUNTS: u32 = 1 << 31;
+
+/// Counts to a bucket of the guide table.
+const BUCKET: u32 = 24;
+
+/// Entries of a group in the guide table: one for each bucket's first count, and one for the last.
+const GUIDES: usize = (COUNTS >> BUCKET) as usize + 1;
+
+/// A cell and its radiance, together: what a sample needs comes with one line of memory.
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Lit {
+    pub(super) place: Place,
+    pub(super) radiance: [f32; 3],
+}
+
+/// A group's or a leaf's cells: a range of the curve.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Span {
+    pub(super) begin: u32,
+    pub(super) end: u32,
+    /// Where its counts begin in the group's CDF, and how many they are.
+    pub(super) first: u32,
+    pub(super) counts: u32,
+}
+
+#[derive(Debug)]
+pub(super) struct Texels {
+    /// Cells along the curve.
+    order: Row<Lit>,
+    /// Where each cell's counts begin in its group's CDF; parallel to `order`, and one 0 more.
+    begins: Row<u32>,
+    /// By slot.
+    pub(super) groups: Vec<Span>,
+    /// By slot.
+    pub(super) leaves: Vec<Span>,
+    /// Which cell holds a bucket's first count; [`GUIDES`] a group.
+    guide: Row<u32>,
+}
+
+impl Texels {
+    pub(super) fn new(cells: &DomeCells, tessellation: &Tessellation, triangles: &Preconvolution) -> Self {
+        let lit = |&cell: &u32| Lit { place: cells.locate(cell), radiance: cells.radiance(cell).to_array() };
+        let mut order = Row::new(tessellation.cells.len());
+        order.get_mut().par_iter_mut().zip(&tessellation.cells).for_each(|(to, cell)| *to = lit(cell));
+        let mut begins = Row::new(tessellation.cells.len() + 1);
+        let mut leaves: Vec<Span> = triangles.cells.iter().map(span).collect();
+        let mut groups: Vec<Span> = leaves.chunks(LEAVES_A_GROUP).map(around).collect();
+        let mut guide = Row::new(groups.len() * GUIDES);
+
+        // Every group its own piece of the beginnings, in the order in which they follow each other.
+        let mut jobs: Vec<_> =
+            groups.iter_mut().zip(leaves.chunks_mut(LEAVES_A_GROUP)).zip(guide.get_mut().chunks_mut(GUIDES)).collect();
+        jobs.sort_unstable_by_key(|((group, _), _)| group.begin);
+        let mut rest = begins.get_mut();
+        let mut pieces = Vec::with_capacity(jobs.len());
+        for job in jobs {
+            let (piece, after) = rest.split_at_mut((job.0.0.end - job.0.0.begin) as usize);
+            rest = after;
+            pieces.push((job, piece));
+        }
+        pieces.into_par_iter().for_each(|(((group, leaves), guide), begins)| {
+            if begins.is_empty() {
+                return;
+            }
+            let members = &tessellation.cells[group.begin as usize..group.end as usize];
+            let total: f64 = members.iter().map(|&cell| cells.energy(cell)).sum();
+            let scale = f64::from(COUNTS - members.len() as u32) / total;
+            let mut at = 0;
+            for (begin, &cell) in begins.iter_mut().zip(members) {
+                // At least one each: no light is out of reach, however dim.
+                *begin = at;
+                at += (cells.energy(cell) * scale) as u32 + 1;
+            }
+            group.counts = at;
+            for leaf in leaves.iter_mut().filter(|leaf| leaf.end > leaf.begin) {
+                leaf.first = begins[(leaf.begin - group.begin) as usize];
+                leaf.counts = begins.get((leaf.end - group.begin) as usize).unwrap_or(&at) - leaf.first;
+            }
+            let mut cell = 0;
+            for (bucket, guide) in guide.iter_mut().enumerate() {
+                let first = (bucket as u32) << BUCKET;
+                while cell + 1 < begins.len() && begins[cell + 1] <= first {
+                    cell += 1;
+                }
+                *guide = group.begin + cell as u32;
+            }
+        });
+        Self { order, begins, groups, leaves, guide }
+    }
+
+    /// First and last place that a group's count `at` may fall to.
+    #[inline(always)]
+    pub(super) fn bounds(&self, group: usize, at: u32) -> (u32, u32) {
+        let bucket = group * GUIDES + (at >> BUCKET) as usize;
+        let guide = self.guide.get();
+        (guide[bucket], guide[bucket + 1])
+    }
+
+    /// Narrows `low..=high` down to the place that count `at` of the group falls to: `low`. All of them a step at a
+    /// time: their look-ups don't wait for each other.
+    #[inline(always)]
+    pub(super) fn find(&self, low: &mut [u32], high: &mut [u32], at: &[u32]) {
+        let begins = self.begins.get();
+        for ((low, high), &at) in low.iter_mut().zip(&mut *high).zip(at) {
+            while *high - *low >= 16 {
+                let middle = *low + (*high - *low).div_ceil(2);
+                if begins[middle as usize] <= at { *low = middle } else { *high = middle - 1 }
+            }
+        }
+        for step in [8, 4, 2, 1] {
+            for ((low, &mut high), &at) in low.iter_mut().zip(&mut *high).zip(at) {
+                // No branch: which way it goes is a coin's toss.
+                let next = (*low + step).min(high);
+                *low = select_unpredictable(begins[next as usize] <= at, next, *low);
+            }
+        }
+    }
+
+    /// Where a cell's counts begin in its group's, and how many they are.
+    #[inline(always)]
+    pub(super) fn counts(&self, place: u32, group: u32) -> (u32, u32) {
+        let begins = self.begins.get();
+        let (begin, next) = (begins[place as usize], begins[place as usize + 1]);
+        // The next group's begin at 0 again.
+        let end = if next > begin { next } else { self.groups[group as usize].counts };
+        (begin, end - begin)
+    }
+
+    /// The cells along the curve.
+    #[inline(always)]
+    pub(super) fn order(&self) -> &[Lit] {
+        self.order.get()
+    }
+
+    pub(super) fn bytes(&self) -> usize {
+        size_of_val(self.order.get())
+            + size_of_val(self.begins.get())
+            + size_of_val(&self.groups[..])
+            + size_of_val(&self.leaves[..])
+            + size_of_val(self.guide.get())
+    }
+}
+
+fn span(members: &Range<usize>) -> Span {
+    Span { begin: members.start as u32, end: members.end as u32, ..Span::default() }
+}
+
+/// The span of a group's leaves.
+fn around(leaves: &[Span]) -> Span {
+    let lit = || leaves.iter().filter(|leaf| leaf.end > leaf.begin);
+    let begin = lit().map(|leaf| leaf.begin).min().unwrap_or(0);
+    Span { begin, end: lit().map(|leaf| leaf.end).max().unwrap_or(begin), ..Span::default() }
+}
