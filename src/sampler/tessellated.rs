@@ -272,6 +272,7 @@ impl DomeSampler for Tessellated {
         let mut warm = [0];
         input.read_exact(&mut warm)?;
         self.warm = warm != [0];
+        self.version = next_version();
         cache.restore(input)
     }
 

@@ -1,9 +1,11 @@
 //! χ² of every sampler against the density it claims, over domes and normals; and that the test can fail.
 
-use crate::support::samplers::{chi_square, gamma_q, normals, sampler, sidak, study_domes};
+use crate::support::samplers::{chi_square, gamma_q, normals, point, sampler, sidak, study_domes, unit};
+use domelight::dome::Dome;
 use domelight::sampler::{DomeSampler, Draws, Point, SAMPLERS, SamplerStats};
 use glam::Vec3;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 const DRAWS: u32 = 8192;
 
@@ -28,6 +30,43 @@ fn every_sampler_draws_by_the_density_it_claims() {
                 }
             }
         }
+    }
+}
+
+/// A sampler whose cache took every group's visibility for a number of its own: one record a direction of normals.
+fn learned(dome: &Arc<Dome>, normals: &[Vec3]) -> Box<dyn DomeSampler> {
+    let mut sampler = sampler("tessellated:cache-block=64", dome, 64);
+    let mut draws = Draws::default();
+    for (n, seed) in normals.iter().zip(0..) {
+        sampler.draw(&point(*n, seed), 64, &mut draws);
+        let coin = |(i, &target): (u32, &u32)| u8::from(unit(&[seed, i]) > unit(&[target]));
+        let coins: Vec<u8> = (0..).zip(&draws.target).map(coin).collect();
+        sampler.observe(&draws.target, &coins);
+    }
+    sampler.next_stage();
+    sampler
+}
+
+#[test]
+fn so_does_one_that_has_learned() {
+    let domes = study_domes();
+    let normals = normals(50);
+    let threshold = sidak(0.01, domes.len() * normals.len());
+    for (name, dome) in &domes {
+        let sampler = learned(dome, &normals);
+        let knows = |n: &&Vec3| {
+            let mut draws = Draws::default();
+            sampler.draw(&point(**n, 1), 64, &mut draws);
+            !draws.control.is_empty()
+        };
+        let known: Vec<&Vec3> = normals.iter().filter(knows).collect();
+        assert!(known.len() >= 25, "dome '{name}': {} normals have a record", known.len());
+        known.par_iter().zip(0..known.len() as u32).for_each(|(n, i)| {
+            match chi_square(sampler.as_ref(), dome, **n, i, DRAWS) {
+                Ok(p) => assert!(p >= threshold, "dome '{name}', normal {n}: p = {p:e} < {threshold:e}"),
+                Err(message) => panic!("dome '{name}', normal {n}: {message}"),
+            }
+        });
     }
 }
 
