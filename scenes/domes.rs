@@ -17,6 +17,7 @@ pub(crate) struct Dome {
 /// The dome of a name.
 pub(crate) fn find(name: &str) -> Option<Dome> {
     Some(match name {
+        "overcast" => Dome { width: 256, radiance: overcast },
         "overcast_sun" => Dome { width: 1024, radiance: overcast_sun },
         "window" => Dome { width: 512, radiance: window },
         "studio" => Dome { width: 512, radiance: studio },
@@ -56,12 +57,17 @@ fn smooth(from: f32, to: f32, x: f32) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// The CIE overcast sky over grey ground, and a sun of 2 × 2 texels at 41° above +X turned 30° towards +Z.
-fn overcast_sun([x, y]: [u32; 2], dir: Direction) -> Radiance {
+/// The CIE overcast sky over grey ground.
+fn overcast(_: [u32; 2], dir: Direction) -> Radiance {
+    if dir.y < 0.0 { [0.10, 0.095, 0.09] } else { scaled([0.42, 0.47, 0.55], (1.0 + 2.0 * dir.y) / 3.0) }
+}
+
+/// The same, and a sun of 2 × 2 texels at 41° above +X turned 30° towards +Z.
+fn overcast_sun(texel @ [x, y]: [u32; 2], dir: Direction) -> Radiance {
     if (597..599).contains(&x) && (139..141).contains(&y) {
         return [60000.0, 56000.0, 48000.0];
     }
-    if dir.y < 0.0 { [0.10, 0.095, 0.09] } else { scaled([0.42, 0.47, 0.55], (1.0 + 2.0 * dir.y) / 3.0) }
+    overcast(texel, dir)
 }
 
 /// A dark room with three windows towards +X and a dim lamp above.

@@ -9,8 +9,8 @@ mod writer;
 use anyhow::{Context, Result, bail};
 
 const USAGE: &str = "usage: generate NAME OUT [--triangles N]
-scenes (.glb): sphere, colonnade, terrain (--triangles 10000..10000000, default 2000000), materials
-domes (.exr): overcast_sun, window, studio, sunset";
+scenes (.glb): sphere, colonnade, terrain (--triangles 10000..10000000, default 2000000), materials, nodes
+domes (.exr): overcast, overcast_sun, window, studio, sunset";
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -31,6 +31,7 @@ fn main() -> Result<()> {
         "terrain" if !(10_000..=10_000_000).contains(&triangles) => bail!("--triangles takes 10000 to 10000000"),
         "terrain" => models::terrain(triangles),
         "materials" => models::materials(),
+        "nodes" => models::nodes(),
         dome => match domes::find(dome) {
             Some(dome) => return dome.write(path),
             None => bail!("unknown scene '{dome}'\n{USAGE}"),

@@ -134,7 +134,7 @@ pub(crate) fn materials() -> Glb {
     let lamp = glb.push("materials", json!({ "pbrMetallicRoughness": pbr, "emissiveFactor": [1.0, 0.7, 0.3] }));
     let lamp = glb.mesh(&icosphere(3), lamp);
     glb.node(lamp, [3.6, 0.4, 0.2], [0.4; 3]);
-    nodes(&mut glb, floor);
+    bent_and_mirrored(&mut glb, floor, true);
     glb.camera([0.0, 3.4, 11.5], [0.0, 2.1, 0.0], 38.0);
     glb
 }
@@ -195,8 +195,20 @@ fn see_through(glb: &mut Glb) {
     );
 }
 
+/// What nodes do to meshes, all Lambertian: a wedge and its mirror image, a bent rod.
+pub(crate) fn nodes() -> Glb {
+    let mut glb = Glb::new();
+    let (floor, white) = (glb.diffuse([0.5; 3]), glb.diffuse([0.8, 0.7, 0.5]));
+    let ground = glb.mesh(&square(), floor);
+    glb.node(ground, [0.0; 3], [6.0, 1.0, 6.0]);
+    // In facets: how normals follow a skin is not the same everywhere.
+    bent_and_mirrored(&mut glb, white, false);
+    glb.camera([0.8, 2.0, 10.5], [0.8, 0.5, 3.2], 34.0);
+    glb
+}
+
 /// A wedge and its mirror image, and a bent rod: a skin of two joints.
-fn nodes(glb: &mut Glb, material: usize) {
+fn bent_and_mirrored(glb: &mut Glb, material: usize, smooth: bool) {
     let mut wedge = cube();
     for p in wedge.positions.iter_mut().filter(|p| p[1] > 0.0 && p[0] > 0.0) {
         p[1] = -0.6;
@@ -206,7 +218,10 @@ fn nodes(glb: &mut Glb, material: usize) {
     glb.node(wedge, [-1.0, 0.3, 3.4], [0.3; 3]);
     glb.node(wedge, [0.0, 0.3, 3.4], [-0.3, 0.3, 0.3]);
 
-    let rod = turned(24, 24, 1.0, 0.0, |_| 0.15);
+    let mut rod = turned(24, 24, 1.0, 0.0, |_| 0.15);
+    if !smooth {
+        rod.normals.clear();
+    }
     let mut primitive = glb.primitive(&rod, material);
     // The upper half goes with the second joint, the middle with both.
     let weights: Vec<f32> = rod

@@ -36,7 +36,8 @@ pub(crate) struct Args {
     /// Fail where FLIP is larger
     #[arg(long, value_name = "X", value_parser = limit)]
     max_flip: Option<f64>,
-    /// Fail where any pixel differs by more than the stored variances (layer `variance`) explain
+    /// Fail where any pixel, or the mean of any 8 × 8 pixels, differs by more than the stored variances (`render
+    /// --variance`) explain
     #[arg(long)]
     z_test: bool,
     /// Write a heat map of HDR-FLIP, 0 to 1

@@ -72,6 +72,31 @@ pub fn z_test(a: Estimate<'_>, b: Estimate<'_>, alpha: f64) -> ZTest {
     ZTest { tested, threshold, failing, share: failing as f64 / count, smallest, spread: (squares / count).sqrt() }
 }
 
+/// Means of blocks of `side` × `side` pixels, whole ones alone, and the variances of these: what is too faint for a pixel,
+/// a surface one per cent too bright, shows in a block.
+pub fn blocks(mean: &[Vec3], variance: &[Vec3], width: usize, side: usize) -> (Vec<Vec3>, Vec<Vec3>) {
+    let height = mean.len() / width.max(1);
+    let corners = (0..height / side).flat_map(|y| (0..width / side).map(move |x| y * side * width + x * side));
+    let block = |corner: usize, values: &[Vec3]| {
+        let rows = (0..side).flat_map(|y| &values[corner + y * width..][..side]);
+        rows.map(|v| v.as_dvec3()).sum::<glam::DVec3>() / (side * side) as f64
+    };
+    let pixels = (side * side) as f64;
+    corners.map(|c| (block(c, mean).as_vec3(), (block(c, variance) / pixels).as_vec3())).unzip()
+}
+
+/// Each pixel's variance, or the mean over the 3 × 3 pixels about it where that is larger. At an outline or a penumbra's
+/// rim a pixel's few replicates may all have missed what happens seldom, and say that there is no noise.
+pub fn pooled(variance: &[Vec3], width: usize) -> Vec<Vec3> {
+    let height = variance.len() / width.max(1);
+    let about = |x: usize, y: usize| {
+        let (columns, rows) = (x.saturating_sub(1)..(x + 2).min(width), y.saturating_sub(1)..(y + 2).min(height));
+        let count = columns.len() * rows.len();
+        rows.flat_map(|y| &variance[y * width..][columns.clone()]).sum::<Vec3>() / count as f32
+    };
+    variance.iter().enumerate().map(|(i, own)| own.max(about(i % width, i / width))).collect()
+}
+
 /// The standard normal deviate that is as rare as Student's `t` (Hill 1970, algorithm 395; 1e-3 relative in the chance
 /// for 3 degrees of freedom, 1e-5 for 7).
 fn normal(t: f64, freedom: f64) -> f64 {
@@ -110,6 +135,22 @@ fn two_sided(z: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::random::{hash, unit};
+
+    #[test]
+    fn blocks_average() {
+        let mean: Vec<Vec3> = (0..5 * 4).map(|i| Vec3::splat(i as f32)).collect();
+        let (mean, variance) = blocks(&mean, &[Vec3::ONE; 20], 5, 2);
+        assert_eq!(mean.iter().map(|m| m.x).collect::<Vec<_>>(), [3.0, 5.0, 13.0, 15.0]);
+        assert_eq!(variance, [Vec3::splat(0.25); 4]);
+    }
+
+    #[test]
+    fn a_pixel_that_saw_nothing_asks_its_neighbours() {
+        let mut variance = vec![Vec3::ZERO; 12];
+        variance[5] = Vec3::splat(9.0);
+        let pooled: Vec<f32> = pooled(&variance, 4).iter().map(|v| v.x).collect();
+        assert_eq!(pooled, [2.25, 1.5, 1.5, 0.0, 1.5, 9.0, 1.0, 0.0, 2.25, 1.5, 1.5, 0.0]);
+    }
 
     #[test]
     fn tails_of_the_normal() {

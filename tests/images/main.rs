@@ -5,3 +5,6 @@
 mod compare;
 mod domes;
 mod outputs;
+mod references;
+mod regression;
+mod support;

@@ -1,13 +1,16 @@
 //! Two pictures and what there is to say about them.
 
 use anyhow::{Result, bail};
-use domelight::metrics::ztest::{Estimate, ZTest, z_test};
+use domelight::metrics::ztest::{Estimate, ZTest, blocks, pooled, z_test};
 use domelight::metrics::{Differences, differences, flip};
 use domelight::output::tonemap::Curve;
 use domelight::output::{Frame, read};
 use glam::Vec3;
 use std::fmt;
 use std::path::Path;
+
+/// Side of the blocks that the Z-test looks at beside pixels.
+const BLOCK: usize = 8;
 
 /// Two pictures of one size.
 #[derive(Debug)]
@@ -34,7 +37,8 @@ pub(super) struct Figures {
     pub(super) differences: Differences,
     pub(super) flip: f64,
     pub(super) hdr_flip: f64,
-    pub(super) z_test: Option<ZTest>,
+    /// Of pixels, and of blocks of pixels.
+    pub(super) z_test: Option<[ZTest; 2]>,
     /// Where the largest difference is.
     pub(super) max_at: [usize; 2],
 }
@@ -107,12 +111,16 @@ impl Pair {
             if self.variances.iter().all(Option::is_none) {
                 bail!("neither {} nor {} holds variances; render with --variance", self.names[0], self.names[1]);
             }
-            let [side_a, side_b] = [0, 1].map(|k| Estimate {
-                mean: &self.images[k],
-                variance: self.variances[k].as_ref().unwrap_or(&none),
-                freedom: self.freedom[k],
-            });
-            Some(z_test(side_a, side_b, 0.01))
+            let noise = |k: usize| self.variances[k].as_ref().unwrap_or(&none);
+            let test = |[(a, va), (b, vb)]: [(&[Vec3], &[Vec3]); 2]| {
+                let [fa, fb] = self.freedom;
+                let a = Estimate { mean: a, variance: va, freedom: fa };
+                z_test(a, Estimate { mean: b, variance: vb, freedom: fb }, 0.005)
+            };
+            let coarse = [0, 1].map(|k| blocks(&self.images[k], noise(k), self.width, BLOCK));
+            let near = [0, 1].map(|k| pooled(noise(k), self.width));
+            let fine = [0, 1].map(|k| (&self.images[k][..], &near[k][..]));
+            Some([test(fine), test([0, 1].map(|k| (&coarse[k].0[..], &coarse[k].1[..])))])
         } else {
             None
         };
@@ -142,8 +150,8 @@ impl Figures {
         };
         check("relMSE", self.differences.relmse, limits.max_relmse);
         check("FLIP", self.flip, limits.max_flip);
-        if let Some(z) = self.z_test.filter(|z| !z.passes()) {
-            list.push(format!("Z-test: {} of {} values stand out", z.failing, z.tested));
+        for (z, what) in self.z_test.iter().flatten().zip(["pixels", "blocks"]).filter(|(z, _)| !z.passes()) {
+            list.push(format!("Z-test of {what}: {} of {} values stand out", z.failing, z.tested));
         }
         let any = limits.max_relmse.is_some() || limits.max_flip.is_some() || limits.z_test;
         if any && self.differences.skipped > 0 {
@@ -167,10 +175,10 @@ impl Figures {
         if d.skipped > 0 {
             rows.push(("not finite", format!("{} pixels, left out of all but FLIP", d.skipped)));
         }
-        if let Some(z) = &self.z_test {
+        for (z, name) in self.z_test.iter().flatten().zip(["Z-test", "Z-test 8×8"]) {
             let share = z.share * 100.0;
             rows.push((
-                "Z-test",
+                name,
                 format!(
                     "{} of {} fail ({share:.4} %; smallest p {:.2e}, RMS z {:.3})",
                     z.failing, z.tested, z.smallest, z.spread

@@ -1,0 +1,158 @@
+//! The scenes of the repo against what Cycles and POV-Ray make of them (scenes/reference/, where the scripts are that made
+//! the pictures). `cargo test --test images references -- --nocapture` shows the table.
+//!
+//! Cycles has the same GGX lobes, but no closure for the diffuse lobe's factor 1 − F(v·h) under a dielectric's gloss. That
+//! difference is taken out: what the factor takes away is rendered by [`Dimming`] and added to our picture.
+
+use crate::support::{Agreement, Stage, agreement, read, repo};
+use domelight::accel::Ray;
+use domelight::bsdf::Bsdf;
+use domelight::hash::sha256_file;
+use domelight::integrator::{Integrator, Queue, Shading, World};
+use domelight::sampler::{Draws, Point};
+use domelight::scene::{CameraChoice, offset_origin};
+use glam::Vec3;
+use std::f32::consts::FRAC_1_PI;
+use std::path::Path;
+
+const SIDE: u32 = 128;
+
+/// ∫ base/π · F(v·h) · L · V · cos: the light that a dielectric's gloss keeps from the diffuse lobe below it.
+#[derive(Debug)]
+struct Dimming;
+
+impl Integrator for Dimming {
+    fn shade(&self, world: &World<'_>, at: &Shading<'_>, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
+        let (surface, wo) = (at.surface, at.wo);
+        let bsdf = Bsdf::new(surface);
+        let Some(gloss) = bsdf.specular.filter(|_| !surface.unlit) else { return Vec3::ZERO };
+        let Shading { pixel, distance, numbers, rays, .. } = *at;
+        let point = Point { pixel, distance, ng: surface.ng, ns: surface.ns, wo, bsdf, numbers };
+        world.sampler.draw(&point, rays, draws);
+        for i in 0..draws.dir.len() {
+            let dir = draws.dir[i];
+            let cosine = dir.dot(surface.ns);
+            if cosine <= 0.0 || dir.dot(surface.ng) <= 0.0 {
+                continue;
+            }
+            let grazing = (1.0 - wo.dot((wo + dir).normalize())).powi(5);
+            let fresnel = gloss.dielectric_f0 + (gloss.dielectric_f90 - gloss.dielectric_f0) * grazing;
+            let weight = fresnel * FRAC_1_PI * cosine / (draws.pdf[i] * draws.dir.len() as f32);
+            let origin = offset_origin(surface.position, surface.error, surface.ng, dir);
+            queue.push(Ray::new(origin, dir), draws.radiance[i] * bsdf.diffuse * weight);
+        }
+        Vec3::ZERO
+    }
+
+    fn shows_dome(&self) -> bool {
+        false
+    }
+}
+
+/// Renders a scene of the repo under domes and holds each picture against the referee's.
+fn check(scene: &str, referee: &str, domes: &[&str], effort: [u32; 2], judge: impl Fn(&str, &Agreement)) {
+    let path = repo(&format!("scenes/{scene}.glb"));
+    check_at(&path, &CameraChoice::First, "scenes/reference", referee, domes, effort, judge);
+}
+
+fn check_at(
+    path: &Path,
+    camera: &CameraChoice,
+    folder: &str,
+    referee: &str,
+    domes: &[&str],
+    [spp, rays]: [u32; 2],
+    judge: impl Fn(&str, &Agreement),
+) {
+    let stage = Stage::new(path, camera);
+    let scene = path.file_stem().unwrap().to_string_lossy();
+    let (solid, inside) = (stage.solid(SIDE), stage.inside(SIDE));
+    for dome in domes {
+        let name = format!("{scene}-{dome}-{referee}");
+        let (reference, facts) = read(&repo(&format!("{folder}/{name}.exr")));
+        let dome = repo(&format!("scenes/{dome}.exr"));
+        for (key, file) in [("sceneSha256", path), ("domeSha256", &dome)] {
+            let known = facts.iter().any(|(k, v)| k == key && *v == sha256_file(file).unwrap());
+            assert!(known, "{name} is of another scene or dome; make it again (scenes/reference/make.py {name})");
+        }
+        let mut picture = stage.render(&dome, "tessellated", None, [SIDE, spp, rays]);
+        if stage.has_gloss() && referee == "cycles" {
+            let dimming = stage.render(&dome, "latlong", Some(&Dimming), [SIDE, spp, rays]);
+            picture.mean.iter_mut().zip(&dimming.mean).for_each(|(p, d)| *p += *d);
+            picture.variance.iter_mut().zip(&dimming.variance).for_each(|(p, d)| *p += *d);
+        }
+        let found = agreement(&picture, &reference, &solid, &inside);
+        println!("{name:<32} {found}");
+        judge(&name, &found);
+    }
+}
+
+const DOMES: [&str; 3] = ["overcast_sun", "window", "studio"];
+
+/// Lambertian scenes: every figure.
+fn lambertian(scene: &str, effort: [u32; 2]) {
+    check(scene, "cycles", &DOMES, effort, |name, found| {
+        assert!((found.ratio[0] - 1.0).abs() <= 0.001, "{name}: mean ratio {:?}", found.ratio);
+        assert!(found.relmse <= 1e-4, "{name}: relMSE {:e}", found.relmse);
+        assert!(found.beyond <= 0.003, "{name}: {} of the pixels beyond 4 σ", found.beyond);
+    });
+}
+
+#[test]
+fn a_sphere_as_cycles_sees_it() {
+    lambertian("sphere", [32, 8]);
+}
+
+#[test]
+fn a_colonnade_as_cycles_sees_it() {
+    lambertian("colonnade", [64, 8]);
+}
+
+#[test]
+fn a_terrain_as_cycles_sees_it() {
+    lambertian("terrain", [32, 8]);
+}
+
+#[test]
+fn mirrored_and_skinned_nodes_as_cycles_sees_them() {
+    lambertian("nodes", [32, 8]);
+}
+
+#[test]
+fn materials_as_cycles_sees_them() {
+    check("materials", "cycles", &DOMES, [32, 8], |name, found| {
+        assert!(found.relmse <= 1e-3, "{name}: relMSE {:e}", found.relmse);
+    });
+}
+
+#[test]
+fn soft_light_as_pov_ray_sees_it() {
+    for scene in ["sphere", "colonnade", "terrain"] {
+        check(scene, "povray", &["overcast"], [16, 8], |name, found| {
+            assert!((found.ratio[0] - 1.0).abs() <= 0.004, "{name}: mean ratio {:?}", found.ratio);
+        });
+    }
+}
+
+/// Assets of others, where `scenes/reference/make.py --assets ../shared/assets/gltf` has made their references.
+#[test]
+fn real_assets_as_cycles_sees_them() {
+    for (file, eye, target, fov) in [
+        ("Suzanne/Suzanne.gltf", [1.0, 0.6, 4.5], [0.0, 0.0, 0.0], 38.0),
+        ("Avocado/Avocado.gltf", [0.05, 0.06, 0.16], [0.0, 0.031, 0.0], 28.0),
+        ("SpecularTest.glb", [-0.19, 0.0, 2.0], [-0.19, 0.0, 0.0], 36.0),
+        ("VertexColorTest.glb", [0.3, 0.2, 4.0], [0.0, 0.0, 0.0], 36.0),
+    ] {
+        let path = repo("../shared/assets/gltf").join(file);
+        let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+        let known = |dome: &&str| repo(&format!("target/references/{name}-{dome}-cycles.exr")).exists();
+        if !path.exists() || !DOMES.iter().all(known) {
+            eprintln!("skipped: {name} or its references are not here");
+            continue;
+        }
+        let camera = CameraChoice::LookAt { eye: eye.into(), target: target.into(), fov };
+        check_at(&path, &camera, "target/references", "cycles", &DOMES, [32, 8], |name, found| {
+            assert!(found.relmse <= 1e-3, "{name}: relMSE {:e}", found.relmse);
+        });
+    }
+}

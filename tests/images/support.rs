@@ -1,0 +1,180 @@
+//! Scenes of the repo rendered, references read, and what there is to say about the two.
+
+use domelight::accel::{self, Accel, Coherence, Hit, Mask};
+use domelight::dome;
+use domelight::film::Filter;
+use domelight::integrator::{INTEGRATORS, Integrator};
+use domelight::metrics::ztest::pooled;
+use domelight::output;
+use domelight::registry::resolve;
+use domelight::render::{Background, Render, Settings, Watch};
+use domelight::sampler::{SAMPLERS, Setup};
+use domelight::scene::{self, Camera, CameraChoice, LoadOptions, Scene, View};
+use glam::Vec3;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// A file of the repo.
+pub(crate) fn repo(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+/// A square picture with the variance of its pixels' means.
+#[derive(Debug, Clone)]
+pub(crate) struct Picture {
+    pub(crate) mean: Vec<Vec3>,
+    pub(crate) variance: Vec<Vec3>,
+}
+
+/// Reads a reference; the header's facts beside it.
+pub(crate) fn read(path: &Path) -> (Picture, Vec<(String, String)>) {
+    let frame = output::read(path).unwrap();
+    let colours = |name: &str| -> Vec<Vec3> {
+        let layer = frame.layers.iter().find(|l| l.name == name).unwrap();
+        layer.pixels.chunks_exact(layer.channels.len()).map(Vec3::from_slice).collect()
+    };
+    (Picture { mean: colours(""), variance: colours("variance") }, frame.metadata.clone())
+}
+
+/// Scene, camera and structure of an asset.
+pub(crate) struct Stage {
+    scene: Arc<Scene>,
+    camera: Camera,
+    accel: Box<dyn Accel>,
+}
+
+impl Stage {
+    pub(crate) fn new(path: &Path, camera: &CameraChoice) -> Self {
+        let scene = Arc::new(scene::load(path, &LoadOptions::default()).unwrap());
+        let camera = camera.resolve(&scene, 1.0).unwrap();
+        let accel = accel::build(accel::ACCELS[0].name, &scene, 2).unwrap();
+        Self { scene, camera, accel }
+    }
+
+    /// Whether any material has a specular lobe.
+    pub(crate) fn has_gloss(&self) -> bool {
+        self.scene.needs.gloss
+    }
+
+    /// Renders the stage under a dome with variances; `with` replaces the integrator.
+    pub(crate) fn render(
+        &self,
+        dome: &Path,
+        sampler: &str,
+        with: Option<&dyn Integrator>,
+        [side, spp, rays]: [u32; 3],
+    ) -> Picture {
+        let dome = Arc::new(dome::load(dome, 0.0, 1.0).unwrap());
+        let (make, params) = resolve("sampler", SAMPLERS, sampler).unwrap();
+        let setup = Setup { size: [side; 2], gloss: self.scene.needs.gloss, rays };
+        let mut sampler = (make.make)(&dome, &params, &setup).unwrap();
+        let (make, params) = resolve("integrator", INTEGRATORS, "direct").unwrap();
+        let direct = (make.make)(&params).unwrap();
+        let settings = Settings {
+            size: [side; 2],
+            crop: [0, 0, side, side],
+            spp,
+            rays,
+            seed: 1,
+            tile: 32,
+            filter: Filter::Box,
+            background: Background::Dome,
+            aovs: false,
+            variance: true,
+            time: None,
+        };
+        let view = View::new(&self.camera, side, side);
+        let integrator = with.unwrap_or(direct.as_ref());
+        let (scene, accel) = (&self.scene, self.accel.as_ref());
+        let render = Render { scene, accel, dome: &dome, integrator, view: &view, settings };
+        let picture = render.run(sampler.as_mut(), Watch { finish: &AtomicBool::new(false), progress: &|_| () });
+        assert_eq!(picture.counts.dropped, 0);
+        let mean = picture.film.rgba().chunks_exact(4).map(Vec3::from_slice).collect();
+        let variance = picture.film.replicates.variance().chunks_exact(3).map(Vec3::from_slice).collect();
+        Picture { mean, variance }
+    }
+
+    /// For each pixel, whether it lies inside a surface, farther than half a pixel from all outlines: 3 × 3 rays over
+    /// the pixel and half of each neighbour meet one object at like depths.
+    pub(crate) fn inside(&self, side: u32) -> Vec<bool> {
+        let view = View::new(&self.camera, side, side);
+        let pixel = |i: u32| {
+            let (x, y) = ((i % side) as f32, (i / side) as f32);
+            let at = |k: u32| view.ray(x + (k % 3) as f32 - 0.5, y + (k / 3) as f32 - 0.5);
+            let rays: Vec<_> = (0..9).map(at).collect();
+            let mut hits = [Hit::MISS; 9];
+            self.accel.intersect(&rays, Mask::All, Coherence::Coherent, &mut hits);
+            let first = hits[4];
+            let like = |h: &Hit| h.instance == first.instance && (h.t / first.t - 1.0).abs() < 0.1;
+            first.is_hit() && hits.iter().all(|h| h.is_hit() && like(h))
+        };
+        (0..side * side).map(pixel).collect()
+    }
+
+    /// For each pixel, whether its centre shows something of the scene.
+    pub(crate) fn solid(&self, side: u32) -> Vec<bool> {
+        let view = View::new(&self.camera, side, side);
+        let rays: Vec<_> =
+            (0..side * side).map(|i| view.ray((i % side) as f32 + 0.5, (i / side) as f32 + 0.5)).collect();
+        let mut hits = vec![Hit::MISS; rays.len()];
+        self.accel.intersect(&rays, Mask::All, Coherence::Coherent, &mut hits);
+        hits.iter().map(Hit::is_hit).collect()
+    }
+}
+
+/// How well two pictures of one thing agree.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Agreement {
+    /// Sum over sum, and its standard error by the pixels' variances.
+    pub(crate) ratio: [f64; 2],
+    /// Mean of (a − b)²/(b² + 0.01), less what the noise of both brings about.
+    pub(crate) relmse: f64,
+    /// The same of a's noise and of b's.
+    pub(crate) noise: [f64; 2],
+    /// Pixels inside surfaces that differ by more than four standard deviations in a channel, of all inside; the
+    /// variances are [`pooled`].
+    pub(crate) beyond: f64,
+}
+
+/// Compares the pixels of `solid`.
+pub(crate) fn agreement(a: &Picture, b: &Picture, solid: &[bool], inside: &[bool]) -> Agreement {
+    let (mut sums, mut errors, mut square, mut noise, mut count) = ([0.0; 2], [0.0; 2], 0.0, [0.0; 2], 0u32);
+    let (mut tested, mut beyond) = (0u32, 0u32);
+    let near = [a, b].map(|p| pooled(&p.variance, p.mean.len().isqrt()));
+    for i in (0..a.mean.len()).filter(|i| solid[*i]) {
+        let [a, b, va, vb] = [a.mean[i], b.mean[i], a.variance[i], b.variance[i]].map(Vec3::as_dvec3);
+        sums[0] += a.element_sum();
+        sums[1] += b.element_sum();
+        errors[0] += va.element_sum();
+        errors[1] += vb.element_sum();
+        let scale = b * b + 0.01;
+        square += ((a - b) * (a - b) / scale).element_sum();
+        noise[0] += (va / scale).element_sum();
+        noise[1] += (vb / scale).element_sum();
+        count += 3;
+        if inside[i] {
+            tested += 1;
+            let variance = (near[0][i] + near[1][i]).as_dvec3();
+            beyond += u32::from(((a - b) * (a - b)).cmpgt(16.0 * variance + 1e-12).any());
+        }
+    }
+    let count = f64::from(count);
+    let ratio = sums[0] / sums[1];
+    // Three channels of one pixel go together.
+    let error = (3.0 * (errors[0] + ratio * ratio * errors[1])).sqrt() / sums[1];
+    Agreement {
+        ratio: [ratio, error],
+        relmse: (square - noise[0] - noise[1]) / count,
+        noise: noise.map(|n| n / count),
+        beyond: f64::from(beyond) / f64::from(tested),
+    }
+}
+
+impl std::fmt::Display for Agreement {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let [[ratio, error], [a, b]] = [self.ratio, self.noise];
+        let share = 100.0 * self.beyond;
+        write!(f, "{ratio:.5} ± {error:.5}  {:>9.2e}  {a:>8.1e}  {b:>8.1e}  {share:>6.3} %", self.relmse)
+    }
+}
