@@ -128,8 +128,8 @@ impl Stage {
 pub(crate) struct Agreement {
     /// Sum over sum, and its standard error by the pixels' variances.
     pub(crate) ratio: [f64; 2],
-    /// Mean of (a − b)²/(b² + 0.01), less what the noise of both brings about.
-    pub(crate) relmse: f64,
+    /// Mean of (a − b)²/(b² + 0.01), less what the noise of both brings about, and its standard error over pixels.
+    pub(crate) relmse: [f64; 2],
     /// The same of a's noise and of b's.
     pub(crate) noise: [f64; 2],
     /// Pixels inside surfaces that differ by more than four standard deviations in a channel, of all inside; the
@@ -139,7 +139,7 @@ pub(crate) struct Agreement {
 
 /// Compares the pixels of `solid`.
 pub(crate) fn agreement(a: &Picture, b: &Picture, solid: &[bool], inside: &[bool]) -> Agreement {
-    let (mut sums, mut errors, mut square, mut noise, mut count) = ([0.0; 2], [0.0; 2], 0.0, [0.0; 2], 0u32);
+    let (mut sums, mut errors, mut noise, mut excess) = ([0.0; 2], [0.0; 2], [0.0; 2], Vec::new());
     let (mut tested, mut beyond) = (0u32, 0u32);
     let near = [a, b].map(|p| pooled(&p.variance, p.mean.len().isqrt()));
     for i in (0..a.mean.len()).filter(|i| solid[*i]) {
@@ -149,32 +149,33 @@ pub(crate) fn agreement(a: &Picture, b: &Picture, solid: &[bool], inside: &[bool
         errors[0] += va.element_sum();
         errors[1] += vb.element_sum();
         let scale = b * b + 0.01;
-        square += ((a - b) * (a - b) / scale).element_sum();
         noise[0] += (va / scale).element_sum();
         noise[1] += (vb / scale).element_sum();
-        count += 3;
+        excess.push((((a - b) * (a - b) - va - vb) / scale).element_sum() / 3.0);
         if inside[i] {
             tested += 1;
             let variance = (near[0][i] + near[1][i]).as_dvec3();
             beyond += u32::from(((a - b) * (a - b)).cmpgt(16.0 * variance + 1e-12).any());
         }
     }
-    let count = f64::from(count);
+    let count = excess.len() as f64;
+    let relmse = excess.iter().sum::<f64>() / count;
+    let spread = excess.iter().map(|e| (e - relmse).powi(2)).sum::<f64>().sqrt() / count;
     let ratio = sums[0] / sums[1];
     // Three channels of one pixel go together.
     let error = (3.0 * (errors[0] + ratio * ratio * errors[1])).sqrt() / sums[1];
     Agreement {
         ratio: [ratio, error],
-        relmse: (square - noise[0] - noise[1]) / count,
-        noise: noise.map(|n| n / count),
+        relmse: [relmse, spread],
+        noise: noise.map(|n| n / (3.0 * count)),
         beyond: f64::from(beyond) / f64::from(tested),
     }
 }
 
 impl std::fmt::Display for Agreement {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let [[ratio, error], [a, b]] = [self.ratio, self.noise];
+        let [[ratio, error], [relmse, spread], [a, b]] = [self.ratio, self.relmse, self.noise];
         let share = 100.0 * self.beyond;
-        write!(f, "{ratio:.5} ± {error:.5}  {:>9.2e}  {a:>8.1e}  {b:>8.1e}  {share:>6.3} %", self.relmse)
+        write!(f, "{ratio:.5} ± {error:.5}  {relmse:>9.1e} ± {spread:.1e}  {a:>7.1e}  {b:>7.1e}  {share:>6.3} %")
     }
 }
