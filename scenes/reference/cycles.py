@@ -27,6 +27,10 @@ import gltf
 
 sys.path.remove(HERE)
 
+# The importer of Debian's Blender 3.4 asks its numpy 1.24 for a name that is no more.
+if "bool" not in vars(np):
+    np.bool = bool
+
 # glTF's +Y up to Blender's +Z up.
 TURN = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)
 
