@@ -378,6 +378,7 @@ impl Render<'_> {
                 s.samples.push(self.miss(ray));
                 continue;
             }
+            let hit = &self.scene.refined(ray, hit);
             let surface = self.scene.surface(ray, hit);
             let point = Shading {
                 pixel: [x, y],

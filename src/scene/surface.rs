@@ -63,6 +63,15 @@ impl Triangle<'_> {
         if self.instance.identity { n } else { Vec3::from(self.instance.normal_matrix * Vec3A::from(n)) }
     }
 
+    /// A point of the instance's space in the world.
+    #[inline]
+    fn to_world(&self, p: DVec3) -> DVec3 {
+        let m = &self.instance.transform;
+        let column = |v: Vec3A| DVec3::new(f64::from(v.x), f64::from(v.y), f64::from(v.z));
+        let (x, y, z) = (m.matrix3.x_axis, m.matrix3.y_axis, m.matrix3.z_axis);
+        column(x) * p.x + column(y) * p.y + column(z) * p.z + column(m.translation)
+    }
+
     /// The position and the bound on its error.
     #[inline]
     fn position(&self) -> (Vec3, f32) {
@@ -75,13 +84,11 @@ impl Triangle<'_> {
             return (p.as_vec3(), bound(reach));
         }
         let m = &self.instance.transform;
-        let column = |v: Vec3A| DVec3::new(f64::from(v.x), f64::from(v.y), f64::from(v.z));
         let (x, y, z) = (m.matrix3.x_axis, m.matrix3.y_axis, m.matrix3.z_axis);
-        let world = column(x) * p.x + column(y) * p.y + column(z) * p.z + column(m.translation);
         // The errors made in the instance's space are as large as its coordinates carried over, without cancellation.
         let reach = x.abs() * reach.x + y.abs() * reach.y + z.abs() * reach.z + m.translation.abs();
         // A ray is carried into the instance's space and its errors come back: twice the way.
-        (world.as_vec3(), 2.0 * bound(Vec3::from(reach)))
+        (self.to_world(p).as_vec3(), 2.0 * bound(Vec3::from(reach)))
     }
 }
 
@@ -103,6 +110,26 @@ impl Scene {
             corners: mesh.indices[hit.triangle as usize].map(|i| i as usize),
             weights: [1.0 - hit.u - hit.v, hit.u, hit.v],
         }
+    }
+
+    /// `hit` with its distance and barycentrics computed from the triangle, in f64: a picture must not hang on the last bits
+    /// of one structure's arithmetic. A ray along the triangle's plane keeps what it has.
+    #[inline]
+    pub fn refined(&self, ray: &Ray, hit: &Hit) -> Hit {
+        let t = self.hit_triangle(hit);
+        let [a, b, c] = t.corners.map(|i| t.mesh.positions[i].as_dvec3());
+        let [a, b, c] = if t.instance.identity { [a, b, c] } else { [a, b, c].map(|p| t.to_world(p)) };
+        // Möller and Trumbore 1997.
+        let (from, dir) = (ray.origin.as_dvec3() - a, ray.dir.as_dvec3());
+        let (along, across) = (b - a, c - a);
+        let (p, q) = (dir.cross(across), from.cross(along));
+        let [u, v, distance] = [from.dot(p), dir.dot(q), across.dot(q)].map(|x| x / along.dot(p));
+        if !(u + v + distance).is_finite() {
+            return *hit;
+        }
+        // The structure has decided that it is a hit: rounding at an edge must not leave the triangle.
+        let u = u.clamp(0.0, 1.0);
+        Hit { t: distance as f32, u: u as f32, v: v.clamp(0.0, 1.0 - u) as f32, ..*hit }
     }
 
     /// What `ray` met at `hit`, ready to be shaded. The direction need not be of unit length.
