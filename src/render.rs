@@ -1,7 +1,7 @@
 //! Passes × tiles.
 //!
 //! A pass takes some camera samples of some pixels. Without a learning sampler passes only cut the work up. With one,
-//! the first camera samples come in three *stages*, each a lattice of pixels: every 16th pixel, then every 4th, then the
+//! the first camera samples come in four *stages*, each a lattice of pixels: every 64th pixel, every 16th, every 4th, the
 //! rest; after each stage the sampler goes by what was seen so far. A pixel's own samples therefore never depend on
 //! what they saw themselves, all of them form one stratified set, and the image is unbiased in the strict sense. Later
 //! samples are one more stage with numbers of their own. Where variances are asked for, every replicate has numbers of
@@ -130,28 +130,34 @@ impl Counts {
     }
 }
 
-/// Which pixels a pass takes.
+/// Which pixels a pass takes: one in `step` each way, but not those of the lattice of `taken` steps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Lattice {
-    All,
-    /// Every fourth in both directions.
-    Sixteenth,
-    /// Every second in both directions but those.
-    Quarter,
-    /// The rest.
-    Rest,
+struct Lattice {
+    step: u32,
+    taken: u32,
 }
 
 impl Lattice {
+    const ALL: Self = Self { step: 1, taken: 0 };
+
+    /// The learning stages: each four times as many pixels as all before. The first ones know nothing, so they are few.
+    const STAGES: [Self; 4] = [
+        Self { step: 8, taken: 0 },
+        Self { step: 4, taken: 8 },
+        Self { step: 2, taken: 4 },
+        Self { step: 1, taken: 2 },
+    ];
+
     fn takes(self, x: u32, y: u32) -> bool {
-        let sixteenth = x % 4 == 1 && y % 4 == 1;
-        let quarter = x % 2 == 1 && y % 2 == 1;
-        match self {
-            Self::All => true,
-            Self::Sixteenth => sixteenth,
-            Self::Quarter => quarter && !sixteenth,
-            Self::Rest => !quarter,
-        }
+        // Lattices lie in each other: what is 5 modulo 8 is 1 modulo 4.
+        let on = |step: u32| x % step == 5 % step && y % step == 5 % step;
+        on(self.step) && (self.taken == 0 || !on(self.taken))
+    }
+
+    /// The share of the pixels.
+    fn share(self) -> f64 {
+        let one_in = |step: u32| 1.0 / f64::from(step * step);
+        one_in(self.step) - if self.taken == 0 { 0.0 } else { one_in(self.taken) }
     }
 }
 
@@ -163,6 +169,10 @@ struct Pass {
     count: u32,
     /// Which sequence: the learning stages share one; what follows has its own, and so has every replicate.
     sequence: u32,
+    /// Places in the pixel go on through a replicate, for what was learned at some says nothing of the others' light:
+    /// the replicate, and what its samples have taken before this sequence.
+    replicate: u32,
+    before: u32,
     weight: f64,
     /// Whether the sampler's stage ends here.
     ends_stage: bool,
@@ -211,9 +221,19 @@ impl Render<'_> {
         let mut done = 0;
         if learns {
             let count = self.replicate().min(LEARNING);
-            for lattice in [Lattice::Sixteenth, Lattice::Quarter, Lattice::Rest] {
-                let spp_after = if lattice == Lattice::Rest { count } else { 0 };
-                passes.push(Pass { lattice, first: 0, count, sequence: 0, weight: 1.0, ends_stage: true, spp_after });
+            for lattice in Lattice::STAGES {
+                let spp_after = if lattice.step == 1 { count } else { 0 };
+                passes.push(Pass {
+                    lattice,
+                    first: 0,
+                    count,
+                    sequence: 0,
+                    replicate: 0,
+                    before: 0,
+                    weight: 1.0,
+                    ends_stage: true,
+                    spp_after,
+                });
             }
             done = count;
         }
@@ -225,10 +245,12 @@ impl Render<'_> {
             }
             let count = (spp - done).min(4).min(each - done % each);
             passes.push(Pass {
-                lattice: Lattice::All,
+                lattice: Lattice::ALL,
                 first: done - first,
                 count,
                 sequence,
+                replicate: done / each,
+                before: first % each,
                 weight: 1.0,
                 ends_stage: false,
                 spp_after: done + count,
@@ -313,13 +335,7 @@ impl Render<'_> {
     }
 
     fn work(&self, pass: &Pass) -> f64 {
-        let share = match pass.lattice {
-            Lattice::All => 1.0,
-            Lattice::Sixteenth => 1.0 / 16.0,
-            Lattice::Quarter => 3.0 / 16.0,
-            Lattice::Rest => 0.75,
-        };
-        share * f64::from(pass.count)
+        pass.lattice.share() * f64::from(pass.count)
     }
 
     /// The tiles of the crop window, aligned to the full image so that crops cut the same ones.
@@ -364,8 +380,8 @@ impl Render<'_> {
         s.rays.clear();
         s.samples.clear();
         for &([x, y], sample) in &s.cameras {
-            let seed = random::hash(&[self.settings.seed, x, y, pass.sequence, 0]);
-            let [u, v] = random::sobol2(sample, seed).map(random::unit);
+            let seed = random::hash(&[self.settings.seed, x, y, pass.replicate, 0]);
+            let [u, v] = random::sobol2(pass.before + sample, seed).map(random::unit);
             let filter = self.settings.filter;
             s.rays.push(self.view.ray(x as f32 + 0.5 + filter.offset(u), y as f32 + 0.5 + filter.offset(v)));
         }
