@@ -79,17 +79,31 @@ impl Triangle<'_> {
         let (da, db, dc) = (a.as_dvec3(), b.as_dvec3(), c.as_dvec3());
         // Relative to a corner: weights that don't quite add up to one stay within the triangle's plane.
         let p = da + (db - da) * f64::from(self.weights[1]) + (dc - da) * f64::from(self.weights[2]);
+        let inward = (da + db + dc) * (1.0 / 3.0) - p;
         let reach = a.abs().max(b.abs()).max(c.abs());
         if self.instance.identity {
-            return (p.as_vec3(), bound(reach));
+            let error = bound(reach);
+            return ((p + from_the_edge(inward, error)).as_vec3(), error);
         }
         let m = &self.instance.transform;
         let (x, y, z) = (m.matrix3.x_axis, m.matrix3.y_axis, m.matrix3.z_axis);
         // The errors made in the instance's space are as large as its coordinates carried over, without cancellation.
         let reach = x.abs() * reach.x + y.abs() * reach.y + z.abs() * reach.z + m.translation.abs();
         // A ray is carried into the instance's space and its errors come back: twice the way.
-        (self.to_world(p).as_vec3(), 2.0 * bound(Vec3::from(reach)))
+        let error = 2.0 * bound(Vec3::from(reach));
+        let world = self.to_world(p);
+        let inward = self.to_world(p + inward) - world;
+        ((world + from_the_edge(inward, error)).as_vec3(), error)
     }
+}
+
+/// A step within the triangle towards its middle (`inward`), half of `error` long, so that rounding stays within it too.
+/// Rounded, a point next to an edge may lie on the very plane of the triangle beyond the edge, and a ray from there
+/// misses that: light would come into a closed box.
+#[inline]
+fn from_the_edge(inward: DVec3, error: f32) -> DVec3 {
+    let (length, step) = (inward.length(), 0.5 * f64::from(error));
+    if length > step { inward * (step / length) } else { inward }
 }
 
 #[inline]

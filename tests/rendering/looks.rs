@@ -1,6 +1,7 @@
 //! What surfaces and domes look like, held against arithmetic that shares nothing with the renderer: a white furnace,
 //! glTF's formula integrated numerically, and domes whose orientation can be seen.
 
+use crate::support::formula::reflected;
 use crate::support::render::{Shot, microscope, pixels, scene, sheet, square, white};
 use crate::support::samplers::{dome as dome_of, sampler};
 use assert_cmd::Command;
@@ -72,43 +73,6 @@ fn a_white_sphere_vanishes_in_a_uniform_dome() {
         println!("{spec}: {mean}");
         assert!((mean - 1.0).abs().max_element() <= whole, "{spec}: the image is {mean} of the dome");
     }
-}
-
-/// glTF 2.0, Appendix B: the radiance reflected to `wo` by a surface about +Z under `light`.
-fn reflected(base: DVec3, metallic: f64, roughness: f64, wo: DVec3, light: impl Fn(DVec3) -> f64) -> DVec3 {
-    let alpha2 = roughness.powi(4);
-    let schlick = |cosine: f64| (1.0 - cosine).powi(5);
-    let mut sum = DVec3::ZERO;
-    // The diffuse lobe over cells of equal projected solid angle.
-    let (rings, around) = (200, 200);
-    for (i, j) in (0..rings).flat_map(|i| (0..around).map(move |j| (i, j))) {
-        let sin2 = (f64::from(i) + 0.5) / f64::from(rings);
-        let angle = TAU * (f64::from(j) + 0.5) / f64::from(around);
-        let wi = DVec3::new(sin2.sqrt() * angle.cos(), sin2.sqrt() * angle.sin(), (1.0 - sin2).sqrt());
-        let fresnel = 0.04 + 0.96 * schlick(wo.dot((wi + wo).normalize()));
-        sum += base * (1.0 - metallic) * (1.0 - fresnel) * light(wi) / f64::from(rings * around);
-    }
-    // The specular lobe over half vectors: D cos θ dω is du dφ/2π with tan²θ = α² u/(1 − u), and dω_i = 4 (v·h) dω_h.
-    let (rings, around) = (2000, 400);
-    for (i, j) in (0..rings).flat_map(|i| (0..around).map(move |j| (i, j))) {
-        let u = (f64::from(i) + 0.5) / f64::from(rings);
-        let angle = TAU * (f64::from(j) + 0.5) / f64::from(around);
-        let cos2 = (1.0 - u) / (1.0 - u + alpha2 * u);
-        let sin = (1.0 - cos2).sqrt();
-        let h = DVec3::new(sin * angle.cos(), sin * angle.sin(), cos2.sqrt());
-        let vh = wo.dot(h);
-        let wi = 2.0 * vh * h - wo;
-        if vh <= 0.0 || wi.z <= 0.0 {
-            continue;
-        }
-        let root = |z: f64| (alpha2 + (1.0 - alpha2) * z * z).sqrt();
-        let visibility = 0.5 / (wi.z * root(wo.z) + wo.z * root(wi.z));
-        let dielectric = DVec3::splat(0.04 + 0.96 * schlick(vh));
-        let metal = base + (1.0 - base) * schlick(vh);
-        let fresnel = dielectric.lerp(metal, metallic);
-        sum += fresnel * visibility * 4.0 * vh * wi.z / h.z * light(wi) / f64::from(rings * around);
-    }
-    sum
 }
 
 /// A white sky shows a material's albedo: within 0.1 %, with a standard error so small that this can fail.

@@ -3,6 +3,7 @@
 #![allow(unsafe_code, reason = "a SIMD kernel; `portable` is its twin")]
 
 use super::node::{Block, Node, WIDTH};
+use super::portable::{CLOSE, ahead};
 use super::traverse::{Kernel, LATER, Met, Prepared};
 use super::{Questions, World};
 use crate::accel::{Hit, Mask, Ray};
@@ -202,6 +203,22 @@ fn edges(ray: &Prepared, block: &Block) -> Edges {
         let t = _mm256_mul_ps(t, all(ray.shear[2]));
         let beyond = _mm256_cmp_ps::<_CMP_GT_OQ>(t, all(ray.tnear));
         let within = _mm256_and_ps(beyond, _mm256_cmp_ps::<_CMP_LT_OQ>(t, all(ray.tfar)));
-        Edges { mask: _mm256_movemask_ps(_mm256_and_ps(inside, within)) as u32, t, u: v, v: w }
+        let met = _mm256_and_ps(inside, within);
+        let mut mask = _mm256_movemask_ps(met) as u32;
+        if mask != 0 {
+            let sign = all(-0.0);
+            let reach = _mm256_max_ps(_mm256_andnot_ps(sign, a[2]), _mm256_andnot_ps(sign, b[2]));
+            let reach = _mm256_max_ps(reach, _mm256_andnot_ps(sign, c[2]));
+            let reach = _mm256_mul_ps(reach, all(CLOSE * ray.shear[2].abs()));
+            let mut close = _mm256_movemask_ps(_mm256_and_ps(met, _mm256_cmp_ps::<_CMP_LE_OQ>(t, reach))) as u32;
+            while close != 0 {
+                let lane = close.trailing_zeros();
+                if !ahead(ray, block, lane as usize & 7) {
+                    mask &= !(1 << lane);
+                }
+                close &= close - 1;
+            }
+        }
+        Edges { mask, t, u: v, v: w }
     }
 }

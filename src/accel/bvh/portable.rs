@@ -3,6 +3,8 @@
 use super::node::{BLOCK, Block, Node, WIDTH};
 use super::traverse::{Kernel, LATER, Met, Prepared};
 use super::{Questions, World};
+use crate::accel::Ray;
+use glam::DVec3;
 
 /// The portable kernel.
 pub(super) struct Portable;
@@ -74,5 +76,21 @@ fn meets(ray: &Prepared, block: &Block, lane: usize) -> Option<Met> {
     let scale = 1.0 / det;
     let (u, v, w) = (u * scale, v * scale, w * scale);
     let t = sz * (u * a[2] + v * b[2] + w * c[2]);
-    (t > ray.tnear && t < ray.tfar).then_some(Met { lane, t, u: v, v: w })
+    let reach = a[2].abs().max(b[2].abs()).max(c[2].abs()) * (CLOSE * sz.abs());
+    let met = t > ray.tnear && t < ray.tfar && (t > reach || ahead(ray, block, lane));
+    met.then_some(Met { lane, t, u: v, v: w })
+}
+
+/// A distance below this share of the triangle's own is looked at again.
+pub(super) const CLOSE: f32 = 1.0 / 1024.0;
+
+/// Whether a triangle that was met is ahead of the ray. The weights' roundings enter the distance with the length of the
+/// whole triangle: a long thin one just behind a ray's origin, the very surface it leaves, seems to lie just ahead.
+#[cold]
+#[inline(never)]
+pub(super) fn ahead(ray: &Prepared, block: &Block, lane: usize) -> bool {
+    let [a, b, c] = block.corners.each_ref().map(|rows| DVec3::from(rows.map(|row| f64::from(row[lane]))));
+    let normal = (b - a).cross(c - a);
+    let Ray { origin, dir, tnear, .. } = ray.world;
+    normal.dot(a - origin.as_dvec3()) / normal.dot(dir.as_dvec3()) > f64::from(tnear)
 }
