@@ -12,6 +12,7 @@ mod report;
 mod study;
 
 use super::input::{Input, size};
+use super::values::{positive, whole};
 use anyhow::{Context, Result};
 use clap::builder::PossibleValuesParser;
 use domelight::accel::ACCELS;
@@ -36,7 +37,7 @@ pub(crate) struct Args {
     #[command(flatten)]
     input: Input,
     /// Size of the image
-    #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = size)]
+    #[arg(long, value_name = "WxH", default_value = "512x512", value_parser = size, allow_hyphen_values = true)]
     size: [u32; 2],
     /// What shows where nothing is hit: black keeps the study to what is shaded
     #[arg(long, default_value = "black", value_parser = PossibleValuesParser::new(["dome", "black"]))]
@@ -46,19 +47,19 @@ pub(crate) struct Args {
     #[arg(long, value_name = "PLUGIN", help_heading = "Study")]
     sampler: Vec<String>,
     /// Camera samples × shadow rays of each
-    #[arg(long, value_name = "SxR,…", value_delimiter = ',', value_parser = budget, default_value = "1x16,4x4,4x16,16x16,64x16", help_heading = "Study")]
+    #[arg(long, value_name = "SxR,…", value_delimiter = ',', value_parser = budget, allow_hyphen_values = true, default_value = "1x16,4x4,4x16,16x16,64x16", help_heading = "Study")]
     budgets: Vec<[u32; 2]>,
     /// Runs of each case, each with a seed of its own
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = "Study")]
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = whole::<u32>(1..=1000), allow_hyphen_values = true, help_heading = "Study")]
     repeat: u32,
     /// relMSE to be reached
-    #[arg(long, value_name = "E,…", value_delimiter = ',', default_value = "0.01,0.001", help_heading = "Study")]
+    #[arg(long, value_name = "E,…", value_delimiter = ',', value_parser = positive, allow_hyphen_values = true, default_value = "0.01,0.001", help_heading = "Study")]
     to_error: Vec<f64>,
     /// An EXR to hold the renders against (default: one is made)
     #[arg(long, value_name = "FILE", help_heading = "Reference")]
     reference: Option<PathBuf>,
     /// Shadow rays a pixel of the reference that is made
-    #[arg(long, value_name = "N", default_value_t = 16384, value_parser = clap::value_parser!(u32).range(32..=1 << 24), help_heading = "Reference")]
+    #[arg(long, value_name = "N", default_value_t = 16384, value_parser = whole::<u32>(32..=1 << 24), allow_hyphen_values = true, help_heading = "Reference")]
     reference_rays: u32,
     /// The sampler it is made with: one that shares nothing with those under test
     #[arg(long, value_name = "PLUGIN", default_value = "latlong", help_heading = "Reference")]
@@ -71,7 +72,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "PLUGIN", default_value = ACCELS[0].name)]
     accel: String,
     /// Threads (default: all)
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = whole::<u16>(1..=1024), allow_hyphen_values = true)]
     threads: Option<u16>,
     /// Write the figures as CSV
     #[arg(long, value_name = "FILE", help_heading = "Output")]
@@ -88,7 +89,6 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> Result<u8> {
-    args.input.check()?;
     let samplers = args.samplers();
     for spec in samplers.iter().chain([&args.reference_sampler]) {
         resolve("sampler", SAMPLERS, spec)?;
@@ -173,7 +173,7 @@ fn reference(args: &Args, bench: &Bench) -> Result<Reference> {
 
 /// `4x16`: four camera samples of sixteen rays each.
 fn budget(text: &str) -> Result<[u32; 2], String> {
-    let wrong = || "camera samples × shadow rays are wanted, such as 4x16".to_owned();
+    let wrong = || "camera samples × shadow rays are wanted, each from 1 to 32768, such as 4x16".to_owned();
     let (spp, rays) = text.trim().split_once(['x', '×']).ok_or_else(wrong)?;
     let number = |text: &str| text.parse().ok().filter(|n| (1..=1u32 << 15).contains(n)).ok_or_else(wrong);
     Ok([number(spp)?, number(rays)?])

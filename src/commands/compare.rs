@@ -31,10 +31,10 @@ pub(crate) struct Args {
     #[arg(required_unless_present = "list")]
     reference: Option<PathBuf>,
     /// Fail where relMSE is larger
-    #[arg(long, value_name = "X", value_parser = limit)]
+    #[arg(long, value_name = "X", value_parser = limit, allow_hyphen_values = true)]
     max_relmse: Option<f64>,
     /// Fail where FLIP is larger
-    #[arg(long, value_name = "X", value_parser = limit)]
+    #[arg(long, value_name = "X", value_parser = limit, allow_hyphen_values = true)]
     max_flip: Option<f64>,
     /// Fail where any pixel, or the mean of any 8 × 8 pixels, differs by more than the stored variances (`render
     /// --variance`) explain
@@ -55,8 +55,8 @@ pub(crate) struct Args {
 }
 
 fn limit(text: &str) -> std::result::Result<f64, String> {
-    let value: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
-    if value >= 0.0 { Ok(value) } else { Err("a limit is a number ≥ 0".to_owned()) }
+    let value = text.parse().ok().filter(|value: &f64| *value >= 0.0 && value.is_finite());
+    value.ok_or_else(|| "a finite number ≥ 0 is wanted".to_owned())
 }
 
 /// Runs the command; the exit code.

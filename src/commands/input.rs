@@ -1,8 +1,8 @@
 //! What is rendered, under which dome and seen from where: the options that `render` and `bench error` share.
 
-use anyhow::{Result, bail};
-use domelight::error::Error;
-use domelight::scene::camera::DEFAULT_FOV;
+use super::values::{finite, number, positive};
+use anyhow::Result;
+use domelight::scene::camera::{DEFAULT_FOV, FOV_RANGE};
 use domelight::scene::{CameraChoice, LoadOptions, SceneChoice};
 use glam::Vec3;
 use std::path::PathBuf;
@@ -17,10 +17,10 @@ pub(crate) struct Input {
     pub(crate) dome: PathBuf,
 
     /// Turn the dome about +Y, degrees counter-clockwise seen from above
-    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_hyphen_values = true, help_heading = "Light")]
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, value_parser = finite, allow_hyphen_values = true, help_heading = "Light")]
     pub(crate) dome_rotate: f64,
     /// Multiply the dome's radiance
-    #[arg(long, value_name = "X", default_value_t = 1.0, allow_hyphen_values = true, help_heading = "Light")]
+    #[arg(long, value_name = "X", default_value_t = 1.0, value_parser = positive, allow_hyphen_values = true, help_heading = "Light")]
     pub(crate) dome_scale: f64,
 
     /// Which of the asset's scenes: name or index
@@ -36,7 +36,7 @@ pub(crate) struct Input {
     #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "eye", help_heading = "Camera")]
     look_at: Option<Vec3>,
     /// Vertical field of view, degrees
-    #[arg(long, value_name = "DEG", default_value_t = DEFAULT_FOV, allow_hyphen_values = true, help_heading = "Camera")]
+    #[arg(long, value_name = "DEG", default_value_t = DEFAULT_FOV, value_parser = fov, allow_hyphen_values = true, help_heading = "Camera")]
     fov: f32,
     /// A camera around the scene: azimuth (0 sees the front) and elevation in degrees, and a distance
     #[arg(long, value_name = "AZ,EL[,DIST]", value_parser = orbit, allow_hyphen_values = true, conflicts_with = "eye", help_heading = "Camera")]
@@ -47,17 +47,6 @@ pub(crate) struct Input {
 }
 
 impl Input {
-    /// Finds out what is wrong with the values before anything is loaded.
-    pub(crate) fn check(&self) -> Result<()> {
-        if !(self.dome_scale > 0.0 && self.dome_scale.is_finite()) {
-            bail!(Error::Option("--dome-scale wants a number above 0".to_owned()));
-        }
-        if !self.dome_rotate.is_finite() {
-            bail!(Error::Option("--dome-rotate wants degrees".to_owned()));
-        }
-        Ok(())
-    }
-
     pub(crate) fn load_options(&self) -> LoadOptions {
         LoadOptions { scene: self.scene.as_deref().map(|name| SceneChoice::Name(name.to_owned())) }
     }
@@ -78,16 +67,23 @@ impl Input {
 }
 
 pub(crate) fn vector(text: &str) -> Result<Vec3, String> {
-    let parts: Vec<f32> = numbers(text)?;
-    let [x, y, z] = parts[..] else { return Err("three numbers X,Y,Z are wanted".to_owned()) };
-    Ok(Vec3::new(x, y, z))
+    match numbers(text).as_deref() {
+        Ok(&[x, y, z]) => Ok(Vec3::new(x, y, z)),
+        _ => Err("three finite numbers X,Y,Z are wanted".to_owned()),
+    }
+}
+
+fn fov(text: &str) -> Result<f32, String> {
+    // As they are written: an f32's 0.01 is not an f64's.
+    let [low, high] = FOV_RANGE.map(|degrees| degrees.to_string().parse().expect("a number's own text"));
+    number(low..=high)(text).map(|degrees| degrees as f32)
 }
 
 fn orbit(text: &str) -> Result<[Option<f32>; 3], String> {
-    match numbers(text)?[..] {
-        [azimuth, elevation] => Ok([Some(azimuth), Some(elevation), None]),
-        [azimuth, elevation, distance] if distance > 0.0 => Ok([Some(azimuth), Some(elevation), Some(distance)]),
-        _ => Err("AZ,EL or AZ,EL,DIST is wanted, DIST above 0".to_owned()),
+    match numbers(text).as_deref() {
+        Ok(&[azimuth, elevation]) => Ok([Some(azimuth), Some(elevation), None]),
+        Ok(&[azimuth, elevation, distance]) if distance > 0.0 => Ok([Some(azimuth), Some(elevation), Some(distance)]),
+        _ => Err("finite numbers AZ,EL or AZ,EL,DIST are wanted, DIST above 0".to_owned()),
     }
 }
 

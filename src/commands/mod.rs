@@ -7,3 +7,4 @@ pub(crate) mod input;
 pub(crate) mod inspect;
 pub(crate) mod plugins;
 pub(crate) mod render;
+pub(crate) mod values;

@@ -1,6 +1,7 @@
 //! `domelight render`: an asset and a dome become images.
 
 mod args;
+mod memory;
 mod progress;
 mod report;
 mod resume;
@@ -41,6 +42,9 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     let outputs = outputs(args)?;
     let resume = args.resume.as_deref().map(Checkpoint::open).transpose()?;
     let threads = args.threads();
+    if let Some(most) = args.max_memory {
+        memory::check(args, most, &settings, [&accel_params, &sampler_params], threads)?;
+    }
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("starting threads")?;
     let mut times = Times::default();
 

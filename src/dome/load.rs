@@ -34,6 +34,30 @@ pub fn load(path: &Path, rotate_degrees: f64, scale: f64) -> Result<Dome> {
     Ok(Dome { grid, texels, faults })
 }
 
+/// A dome's columns and rows, read from its header: what it will take is known before it is loaded.
+pub fn size(path: &Path) -> Result<[u32; 2]> {
+    let refuse = |message: String| Error::dome(path, message);
+    let read = || {
+        let (file, bytes, kind) = open(path)?;
+        let (width, height) = match kind {
+            Kind::Exr => {
+                let exr = Planes::open(file, bytes)?;
+                let (part, _) = find_colours(exr.headers())?;
+                let window = exr.headers()[part].shared_attributes.display_window.size;
+                (window.0, window.1)
+            }
+            Kind::Hdr => {
+                let decoder = HdrDecoder::new_nonstrict(BufReader::new(file)).map_err(|e| e.to_string())?;
+                let (width, height) = decoder.dimensions();
+                (width as usize, height as usize)
+            }
+        };
+        planes::check_size(width, height)?;
+        Ok([width as u32, height as u32])
+    };
+    read().map_err(refuse)
+}
+
 /// An image as it is in the file.
 struct Image {
     width: usize,
@@ -41,14 +65,28 @@ struct Image {
     texels: Vec<[f32; 3]>,
 }
 
+/// What a file is by its first bytes.
+enum Kind {
+    Exr,
+    Hdr,
+}
+
 fn decode(path: &Path) -> Decoded<Image> {
+    let (file, bytes, kind) = open(path)?;
+    match kind {
+        Kind::Exr => decode_exr(file, bytes),
+        Kind::Hdr => decode_hdr(file, bytes),
+    }
+}
+
+fn open(path: &Path) -> Decoded<(File, u64, Kind)> {
     let (mut file, bytes) = planes::open_regular(path)?;
     let mut start = Vec::new();
     (&mut file).take(8).read_to_end(&mut start).and_then(|_| file.rewind()).map_err(|e| e.to_string())?;
     if start.starts_with(&planes::MAGIC) {
-        decode_exr(file, bytes)
+        Ok((file, bytes, Kind::Exr))
     } else if start.starts_with(b"#?RADIAN") || start.starts_with(b"#?RGBE") {
-        decode_hdr(file, bytes)
+        Ok((file, bytes, Kind::Hdr))
     } else {
         Err("this is neither an EXR nor a Radiance HDR image; save the dome as one of these".into())
     }

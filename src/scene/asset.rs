@@ -92,6 +92,11 @@ impl Asset {
         Ok(asset)
     }
 
+    /// Bytes of all buffers.
+    pub(super) fn bytes(&self) -> u64 {
+        self.buffers.iter().flatten().map(|bytes| bytes.len() as u64).sum()
+    }
+
     /// An error in this file.
     pub(super) fn error(&self, message: impl Into<String>) -> Error {
         Error::asset(&self.path, message)

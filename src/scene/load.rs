@@ -14,7 +14,7 @@ use std::collections::HashMap;
 use std::path::Path;
 
 /// A mesh of fewer triangles is copied rather than instanced: an instance costs memory and time of its own.
-const LEAST_INSTANCED: usize = 64;
+pub(super) const LEAST_INSTANCED: usize = 64;
 
 /// Coordinates at and beyond this are left out: acceleration structures can't hold them.
 pub(super) const LARGEST: f32 = 1e18;
@@ -81,7 +81,7 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
 }
 
 /// Placements that show the same geometry: the same mesh with the same morph weights, unskinned.
-fn groups(asset: &Asset, placements: &[Placement]) -> Vec<Vec<usize>> {
+pub(super) fn groups(asset: &Asset, placements: &[Placement]) -> Vec<Vec<usize>> {
     let mut known: HashMap<(usize, Option<Vec<u32>>), usize> = HashMap::new();
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (i, placement) in placements.iter().enumerate() {

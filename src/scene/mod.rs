@@ -17,6 +17,7 @@ mod surface;
 mod tangents;
 mod texture;
 mod uri;
+pub mod weigh;
 
 pub use camera::{CameraChoice, View};
 pub use load::{LoadOptions, SceneChoice, load};

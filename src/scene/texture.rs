@@ -72,6 +72,18 @@ pub(super) fn decode(asset: &Asset, slots: &[Slot], warnings: &mut Warnings) -> 
     Ok(textures.collect())
 }
 
+/// Pixels of an image, by its header; what is no image is reported when it is decoded.
+pub(super) fn pixels(asset: &Asset, index: usize) -> u64 {
+    let json = &asset.root.images[index];
+    let place = format!("images[{index}]");
+    let owned = json.uri.as_deref().and_then(|uri| asset.read_uri(uri, &place).ok());
+    let view = json.buffer_view.and_then(|view| asset.view(view.value(), &place).ok());
+    let bytes = owned.as_deref().or(view.map(|(bytes, _)| bytes)).unwrap_or_default();
+    let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format();
+    let size = reader.ok().and_then(|reader| reader.into_dimensions().ok());
+    size.map_or(0, |(width, height)| u64::from(width) * u64::from(height))
+}
+
 struct Decoded {
     width: u32,
     height: u32,

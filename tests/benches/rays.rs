@@ -2,6 +2,9 @@
 
 #[path = "../../src/commands/bench_rays/mod.rs"]
 mod bench_rays;
+#[path = "../../src/commands/values.rs"]
+#[allow(dead_code, reason = "shared with the program, which uses more of it")]
+mod values;
 
 use clap::Parser;
 

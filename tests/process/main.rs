@@ -3,4 +3,8 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod checkpoint;
+mod corpus;
+mod interrupts;
+mod memory;
+mod options;
 mod support;

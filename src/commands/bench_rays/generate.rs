@@ -34,7 +34,9 @@ fn parse_count(text: &str) -> anyhow::Result<usize> {
         None => (text, 1),
     };
     let count = digits.parse::<usize>().ok().and_then(|n| n.checked_mul(factor));
-    count.filter(|n| (1..=100_000_000).contains(n)).with_context(|| format!("'{text}' is not 1..100M triangles"))
+    count
+        .filter(|n| (1..=100_000_000).contains(n))
+        .with_context(|| format!("'{text}' is not 1..100M triangles, as in terrain:300k"))
 }
 
 fn random(words: &[u32]) -> f32 {

@@ -8,6 +8,7 @@ mod measure;
 mod rays;
 mod report;
 
+use super::values::whole;
 use anyhow::{Context, bail};
 use domelight::accel::{self, ACCELS, Accel};
 use domelight::scene::{self, LoadOptions, Scene};
@@ -37,13 +38,13 @@ pub(crate) struct Args {
     #[arg(long, value_name = "NAME:KEY=VALUE,…")]
     pub(crate) accel: Vec<String>,
     /// Rays of each kind
-    #[arg(long, default_value_t = 1 << 20, value_parser = clap::value_parser!(u32).range(256..))]
+    #[arg(long, default_value_t = 1 << 20, value_parser = whole::<u32>(256..=1 << 26), allow_hyphen_values = true)]
     pub(crate) rays: u32,
     /// Measured rounds after the one that warms up
-    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = 5, value_parser = whole::<u32>(1..=1000), allow_hyphen_values = true)]
     pub(crate) rounds: u32,
     /// Threads of the parallel runs [default: all]
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, value_parser = whole::<usize>(0..=1024), allow_hyphen_values = true)]
     pub(crate) threads: usize,
     /// Write the figures as JSON
     #[arg(long, value_name = "FILE")]

@@ -3,6 +3,7 @@
 use super::progress::Mode;
 use super::report::Report;
 use crate::commands::input::{Input, size};
+use crate::commands::values::{bytes, number, positive, whole};
 use anyhow::{Result, bail};
 use clap::builder::PossibleValuesParser;
 use domelight::accel::Accel;
@@ -27,22 +28,22 @@ pub(crate) struct Args {
     background: String,
 
     /// Size of the image
-    #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = size, help_heading = "Image")]
+    #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = size, allow_hyphen_values = true, help_heading = "Image")]
     size: [u32; 2],
     /// Render only this part: first column, first row, columns, rows
-    #[arg(long, value_name = "X,Y,W,H", value_parser = crop, help_heading = "Image")]
+    #[arg(long, value_name = "X,Y,W,H", value_parser = crop, allow_hyphen_values = true, help_heading = "Image")]
     crop: Option<[u32; 4]>,
     /// Camera samples a pixel
-    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=1 << 20), help_heading = "Image")]
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = whole::<u32>(1..=1 << 20), allow_hyphen_values = true, help_heading = "Image")]
     spp: u32,
     /// Shadow rays a camera sample
-    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=1 << 16), help_heading = "Image")]
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = whole::<u32>(1..=1 << 16), allow_hyphen_values = true, help_heading = "Image")]
     rays: u32,
     /// Begin no pass after so many seconds of rendering
-    #[arg(long, value_name = "SECONDS", help_heading = "Image")]
+    #[arg(long, value_name = "SECONDS", value_parser = positive, allow_hyphen_values = true, help_heading = "Image")]
     time: Option<f64>,
     /// Seed of all random numbers
-    #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Image")]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = whole::<u32>(0..=u32::MAX.into()), allow_hyphen_values = true, help_heading = "Image")]
     seed: u32,
     /// Pixel filter
     #[arg(long, default_value = "box", value_parser = PossibleValuesParser::new(["box", "blackman-harris"]), help_heading = "Image")]
@@ -57,7 +58,7 @@ pub(crate) struct Args {
     #[arg(long, default_value = "neutral", value_parser = PossibleValuesParser::new(["neutral", "aces", "none"]), help_heading = "Image")]
     pub(super) tonemap: String,
     /// Exposure for PNG, stops
-    #[arg(long, value_name = "EV", default_value_t = 0.0, allow_hyphen_values = true, help_heading = "Image")]
+    #[arg(long, value_name = "EV", default_value_t = 0.0, value_parser = number(-32.0..=32.0), allow_hyphen_values = true, help_heading = "Image")]
     pub(super) exposure: f64,
 
     /// Acceleration structure, NAME:KEY=VALUE,…
@@ -71,20 +72,23 @@ pub(crate) struct Args {
     pub(super) integrator: String,
 
     /// Threads (default: all)
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Running")]
+    #[arg(long, value_name = "N", value_parser = whole::<u16>(1..=1024), allow_hyphen_values = true, help_heading = "Running")]
     threads: Option<u16>,
     /// Side of a tile, pixels
-    #[arg(long, value_name = "N", default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=4096), help_heading = "Running")]
+    #[arg(long, value_name = "N", default_value_t = 32, value_parser = whole::<u32>(1..=4096), allow_hyphen_values = true, help_heading = "Running")]
     tile: u32,
     /// Keep the render in this file now and then, to go on from after a crash, a kill or ^C
     #[arg(long, value_name = "FILE", help_heading = "Running")]
     pub(super) checkpoint: Option<PathBuf>,
     /// Seconds between checkpoints; each is written when a pass ends
-    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = interval, requires = "checkpoint", help_heading = "Running")]
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = number(0.0..=1e6), allow_hyphen_values = true, requires = "checkpoint", help_heading = "Running")]
     pub(super) checkpoint_every: f64,
     /// Go on from a checkpoint of the same render
     #[arg(long, value_name = "FILE", help_heading = "Running")]
     pub(super) resume: Option<PathBuf>,
+    /// Refuse a render that would hold more memory than this (512M, 8G), estimated before it is allocated
+    #[arg(long, value_name = "SIZE", value_parser = bytes, allow_hyphen_values = true, help_heading = "Running")]
+    pub(super) max_memory: Option<u64>,
     /// How progress is shown: bar (on a terminal), plain (a line a per cent), json, none
     #[arg(long, default_value = "auto", value_parser = PossibleValuesParser::new(["auto", "bar", "plain", "json", "none"]), help_heading = "Running")]
     progress: String,
@@ -108,16 +112,9 @@ impl Args {
         if !fits(crop[0], crop[2], width) || !fits(crop[1], crop[3], height) {
             bail!(Error::Option(format!("--crop {crop:?} does not lie in the {width}x{height} image")));
         }
-        if self.time.is_some_and(|t| !(t > 0.0 && t.is_finite())) {
-            bail!(Error::Option("--time wants a number of seconds above 0".to_owned()));
-        }
-        if !self.exposure.is_finite() || self.exposure.abs() > 32.0 {
-            bail!(Error::Option("--exposure wants stops from -32 to 32".to_owned()));
-        }
         if self.variance && self.spp < 2 && self.time.is_none() {
             bail!(Error::Option("--variance compares replicates: it wants --spp 2 or more, better 16".to_owned()));
         }
-        self.input.check()?;
         Ok(Settings {
             size: self.size,
             crop,
@@ -236,12 +233,9 @@ impl Args {
     }
 }
 
-fn interval(text: &str) -> Result<f64, String> {
-    let seconds = text.parse().ok().filter(|s| (0.0..=1e6).contains(s));
-    seconds.ok_or_else(|| "seconds from 0 (after every pass) to 1000000 are wanted".to_owned())
-}
-
 fn crop(text: &str) -> Result<[u32; 4], String> {
     let parts: Option<Vec<u32>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
-    parts.and_then(|parts| parts.try_into().ok()).ok_or_else(|| "four whole numbers X,Y,W,H are wanted".to_owned())
+    parts
+        .and_then(|parts| parts.try_into().ok())
+        .ok_or_else(|| "four whole numbers X,Y,W,H are wanted, a part of the image".to_owned())
 }

@@ -1,0 +1,59 @@
+//! `--max-memory`: the estimate lies above what is used, and not far; a render above the limit is refused before it
+//! allocates.
+
+use crate::support::{refused, render};
+use std::time::Instant;
+
+/// Peak resident bytes of a render, by its own statistics.
+fn peak(scene: &str, dome: &str, options: &[&str]) -> u64 {
+    let folder = tempfile::tempdir().unwrap();
+    let [out, stats] = ["a.exr", "a.json"].map(|name| folder.path().join(name));
+    let mut command = render(scene, dome);
+    command.args(options).args(["--spp", "1", "--rays", "1"]).arg("-o").arg(&out).arg("--stats").arg(&stats);
+    command.assert().code(0);
+    let stats: serde_json::Value = serde_json::from_slice(&std::fs::read(&stats).unwrap()).unwrap();
+    stats["peak_rss_bytes"].as_u64().unwrap()
+}
+
+/// The estimate, from the message of a limit that is too low.
+fn estimate(scene: &str, dome: &str, options: &[&str]) -> u64 {
+    let error =
+        refused(render(scene, dome).args(options).args(["-o", "/dev/null.exr", "--max-memory", "1M"]).arg("-q"));
+    let about = error.split("about ").nth(1).and_then(|rest| rest.split(' ').next());
+    about.and_then(|mib| mib.parse::<u64>().ok()).unwrap_or_else(|| panic!("no estimate in: {error}")) << 20
+}
+
+#[test]
+fn the_estimate_lies_above_what_is_used() {
+    for options in [
+        &["--size", "1280x720"][..],
+        &["--size", "2560x1440", "--sampler", "latlong"],
+        &["--size", "1920x1080", "--aov", "normal", "--accel", "bvh"],
+        &["--size", "640x480", "--crop", "0,0,64,64", "--sampler", "cosine"],
+    ] {
+        let (scene, dome) = ("scenes/colonnade.glb", "scenes/studio.exr");
+        let (used, said) = (peak(scene, dome, options), estimate(scene, dome, options));
+        println!("{options:?}: {} MiB used, {} MiB estimated", used >> 20, said >> 20);
+        assert!(said >= used, "{options:?}: {used} bytes are used, {said} were estimated");
+        assert!(said <= 2 * used + (128 << 20), "{options:?}: {used} bytes are used, {said} were estimated");
+    }
+}
+
+#[test]
+fn what_does_not_fit_is_refused_by_its_parts() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("a.exr");
+    let start = Instant::now();
+    let mut command = render("scenes/materials.glb", "scenes/window.exr");
+    command.args(["--size", "16000x16000", "--max-memory", "2G"]).arg("-o").arg(&out);
+    let error = refused(&mut command);
+    for part in
+        ["2048 MiB", "triangles", "textures", "accelerator", "dome of 512x256", "sampler", "film of 16000x16000"]
+    {
+        assert!(error.contains(part), "should name {part}: {error}");
+    }
+    assert!(!out.exists() && start.elapsed().as_secs_f64() < 5.0);
+    // The same at a size that fits.
+    let mut command = render("scenes/materials.glb", "scenes/window.exr");
+    command.args(["--size", "16x16", "--spp", "1", "--max-memory", "2G", "-q"]).arg("-o").arg(&out).assert().code(0);
+}
