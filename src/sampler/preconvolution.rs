@@ -23,7 +23,7 @@ use std::ops::Range;
 /// Moments of a set of triangles as structure of arrays.
 #[derive(Debug, Default)]
 pub struct Moments {
-    /// F_t of the scalar weight.
+    /// F_t of the scalar weight, in shares of the dome's whole energy.
     pub x: Vec<f32>,
     /// F_t of the scalar weight.
     pub y: Vec<f32>,
@@ -108,6 +108,9 @@ pub fn soft(d: f32, s: f32, r: f32) -> f32 {
     max(if d >= r { d } else { disc }, max((d + s) * (1.0 / 128.0), 0.0))
 }
 
+/// The least share of the dome's light that a triangle is taken for.
+const LEAST_SHARE: f64 = 1e-30;
+
 /// One triangle's sums while it is made.
 #[derive(Debug, Clone)]
 struct Triangle {
@@ -130,6 +133,14 @@ impl Triangle {
             }
         }
         Self { weight, rgb, energy, radius: radius(cells, weight, members) }
+    }
+
+    /// Measures the scalar weight in `total`s: whatever a dome's unit, sums stay in f32's range, and no light is nothing.
+    fn share(mut self, total: f64) -> Self {
+        let scale = (1.0 / total).max(LEAST_SHARE / self.weight.length().max(f64::MIN_POSITIVE));
+        self.weight *= scale;
+        self.energy *= scale;
+        self
     }
 
     fn r(&self) -> f32 {
@@ -186,6 +197,7 @@ impl Preconvolution {
     pub fn new(cells: &DomeCells, tessellation: &Tessellation) -> Self {
         let leaves: Vec<Triangle> =
             tessellation.leaves.par_iter().map(|r| Triangle::new(cells, &tessellation.cells[r.clone()])).collect();
+        let total = leaves.iter().map(|leaf| leaf.energy).sum::<f64>();
         let group_count = tessellation.groups.len();
         let padded = group_count.next_multiple_of(GROUP_LANES);
         let mut result = Self {
@@ -199,7 +211,7 @@ impl Preconvolution {
             let mut whole = Triangle { weight: DVec3::ZERO, rgb: [DVec3::ZERO; 3], energy: 0.0, radius: 0.0 };
             for (i, leaf) in range.clone().enumerate() {
                 let at = slot(i, LEAVES_A_GROUP, LEAF_LANES);
-                result.leaves[g].set(at, &leaves[leaf]);
+                result.leaves[g].set(at, &leaves[leaf].clone().share(total));
                 result.cells[g * LEAVES_A_GROUP + at] = tessellation.leaves[leaf].clone();
                 whole.weight += leaves[leaf].weight;
                 whole.energy += leaves[leaf].energy;
@@ -209,7 +221,7 @@ impl Preconvolution {
             }
             let members = tessellation.leaves[range.start].start..tessellation.leaves[range.end - 1].end;
             whole.radius = radius(cells, whole.weight, &tessellation.cells[members]);
-            result.groups.set(g, &whole);
+            result.groups.set(g, &whole.share(total));
         }
         result
     }

@@ -177,6 +177,11 @@ impl ShadowCache {
                 (f32::from(value & 0xff), f32::from(value >> 8))
             };
             let posterior = |(seen, rays): (f32, f32), prior: f32| (seen + PRIOR * prior) / (rays + PRIOR);
+            if (0..groups).all(|g| read(g).0 == 0.0) {
+                // No light at all: as far as anyone knows it is dark here, and the estimate exactly so.
+                m.fill(0);
+                return;
+            }
             // A lane is a piece of the curve: neighbours on the dome share what is known of them.
             let mut lanes = [(0.0, 0.0); GROUP_LANES];
             for g in 0..groups {

@@ -118,8 +118,10 @@ impl Tessellated {
         }
         let budget = params.integer("cache-mb").expect("the option has a default") << 20;
         let least = params.integer("cache-block").expect("the option has a default") as u32;
-        let cache =
-            params.switch("cache").then(|| ShadowCache::new(setup.size, preconvolved.groups.x.len(), budget, least));
+        // Irradiance sums must not leave f32's range, nor its precision; and darkness needs no cache.
+        let brightest = cells.dome().texels.iter().flatten().fold(0.0, |most: f32, &value| most.max(value));
+        let cache = (params.switch("cache") && (1e-30..1e36).contains(&brightest))
+            .then(|| ShadowCache::new(setup.size, preconvolved.groups.x.len(), budget, least));
         let table = if cache.is_some() { irradiances(&preconvolved) } else { Vec::new() };
         let prepare_s = start.elapsed().as_secs_f64();
         let version = next_version();
