@@ -459,10 +459,8 @@ fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
             aovs.light[0] += if arrives { light } else { 0.0 };
         }
     }
+    queue.in_order(&mut s.occluded);
     world.sampler.observe(&queue.targets, &s.occluded);
-    s.occluded.clear();
-    s.occluded.resize(queue.hidden.len(), 1);
-    world.sampler.observe(&queue.hidden, &s.occluded);
     queue.clear();
 }
 

@@ -44,7 +44,8 @@ impl Dome {
     #[inline]
     pub fn weight([r, g, b]: [f32; 3]) -> f32 {
         let luminance = 0.2126 * r + 0.7152 * g + 0.0722 * b;
-        luminance.max((r + g + b) * (1.0 / 3.0))
+        // Each by itself: the sum of three may leave f32's range.
+        luminance.max(r * (1.0 / 3.0) + g * (1.0 / 3.0) + b * (1.0 / 3.0))
     }
 }
 

@@ -155,8 +155,10 @@ impl Shade<'_> {
             let target = draws.target.get(i);
             if cosine <= 0.0 || dir.dot(ng) <= 0.0 || radiance == Vec3::ZERO {
                 // Hidden by the surface itself: no ray, but the control variate still counts.
-                if radiance != Vec3::ZERO {
-                    queue.hidden.extend(target);
+                if radiance != Vec3::ZERO
+                    && let Some(&target) = target
+                {
+                    queue.hide(target);
                 }
                 continue;
             }

@@ -57,8 +57,8 @@ pub struct Queue {
     pub samples: Vec<u32>,
     /// What the sampler counts it towards; empty when nothing is learned.
     pub targets: Vec<u32>,
-    /// Targets of directions known to be hidden without a ray.
-    pub hidden: Vec<u32>,
+    /// Targets of directions known to be hidden without a ray, each with how many rays came before it.
+    pub hidden: Vec<(u32, u32)>,
     /// The camera sample that is being shaded.
     pub sample: u32,
 }
@@ -70,6 +70,33 @@ impl Queue {
         self.rays.push(ray);
         self.contributions.push(contribution);
         self.samples.push(self.sample);
+    }
+
+    /// Counts a direction of the current sample that is hidden without a ray.
+    #[inline]
+    pub fn hide(&mut self, target: u32) {
+        self.hidden.push((target, self.rays.len() as u32));
+    }
+
+    /// Merges the hidden directions into the targets and into what the rays met: in the order in which they were shaded, so
+    /// that what is learned does not depend on where batches end.
+    pub fn in_order(&mut self, occluded: &mut Vec<u8>) {
+        if self.hidden.is_empty() {
+            return;
+        }
+        let mut from = self.targets.len();
+        let len = from + self.hidden.len();
+        self.targets.resize(len, 0);
+        occluded.resize(len, 0);
+        let mut to = len;
+        for &(target, before) in self.hidden.iter().rev() {
+            let before = before as usize;
+            let after = to - (from - before);
+            self.targets.copy_within(before..from, after);
+            occluded.copy_within(before..from, after);
+            (from, to) = (before, after - 1);
+            (self.targets[to], occluded[to]) = (target, 1);
+        }
     }
 
     /// Empties the queue, keeping its memory.

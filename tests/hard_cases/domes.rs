@@ -1,6 +1,6 @@
 //! Domes: suns, edges, emptiness, and values at the ends of what a float can hold.
 
-use crate::shot::{Shot, colors, mean};
+use crate::shot::{STRUCTURES, Shot, colors, mean};
 use crate::support::render::{microscope, scene, square, white};
 use crate::support::samplers::{cosines, dome, gamma_q, point, sampler, sidak, unit};
 use assert_cmd::Command;
@@ -151,17 +151,6 @@ fn beside_a_sun_of_999_permille_dim_texels_of_8192_by_4096_are_drawn() {
     }
 }
 
-/// Goes wrong with: 0/0 where there is nothing to draw.
-#[test]
-fn a_black_dome_is_exactly_black() {
-    for spec in ["tessellated:cache=off", "latlong", "cosine", "uniform"] {
-        for size in [(1, 1), (8, 4)] {
-            let pixels = lit(spec, &dome(size.0, size.1, |_, _| [0.0; 3]), Vec3::Y, Shot::default());
-            assert!(pixels.iter().all(|p| *p == DVec3::ZERO), "{spec}: {pixels:?}");
-        }
-    }
-}
-
 /// Goes wrong with: importance by luminance, which gives blue 0.07 and rounds dim blue to nothing.
 #[test]
 fn all_zero_but_one_channel() {
@@ -230,4 +219,38 @@ fn faults_of_a_file_are_repaired_counted_and_reported() {
     assert_eq!(stats["dropped_samples"], 0);
     let frame = domelight::output::read(&out).unwrap();
     assert!(frame.layers[0].pixels.iter().all(|v| v.is_finite() && *v >= 0.0));
+}
+
+/// Goes wrong with: 0/0 where there is nothing to draw.
+#[test]
+fn a_black_dome_is_exactly_black() {
+    for plugin in SAMPLERS {
+        for size in [(1, 1), (8, 4)] {
+            let pixels = lit(plugin.name, &dome(size.0, size.1, |_, _| [0.0; 3]), Vec3::Y, Shot::default());
+            assert!(pixels.iter().all(|p| *p == DVec3::ZERO), "{}: {pixels:?}", plugin.name);
+        }
+    }
+}
+
+/// Goes wrong with: products that underflow to a density of 0 or overflow to infinity on the way to an ordinary result.
+#[test]
+fn denormal_and_enormous_radiance() {
+    // One step of a denormal at 1e-42 is 1.4e-3 of it, and what one of 64 rays adds would be eleven steps: one ray, then.
+    // f32 ends at 3.4e38.
+    for (value, tolerance, rays) in [(1e-42f32, 3e-3, 1), (1e-38, 1e-3, 64), (1e30, 1e-3, 64), (3e38, 1e-3, 64)] {
+        let dome = dome(64, 32, |_, _| [value; 3]);
+        let exact = exactly(&dome, Vec3::Y);
+        for plugin in SAMPLERS {
+            for structure in STRUCTURES {
+                let shot = Shot { structure, rays, ..Shot::default() };
+                let (mean, error) = mean(&lit(plugin.name, &dome, Vec3::Y, shot));
+                let bound = 4.5 * error.x + (tolerance * exact.x);
+                assert!(
+                    (mean.x - exact.x).abs() <= bound,
+                    "{}, {value:e}: {mean} is not {exact} ± {error}",
+                    plugin.name
+                );
+            }
+        }
+    }
 }

@@ -345,13 +345,13 @@ impl LeafCounts {
         for (i, &high) in of_group.above.iter().enumerate() {
             above |= u64::from(high > 0.0) << i;
         }
-        Self { above, ..Self::from_weights(&of_group.irradiance) }
+        Self { above, ..Self::from_weights(&of_group.drawn()) }
     }
 
     #[inline(always)]
     fn from_weights(e: &[f32; LEAVES_A_GROUP]) -> Self {
         let total = sum(e);
-        let scale = if total > 0.0 { LEAF_COUNTS / total } else { 0.0 };
+        let scale = if total > 0.0 { (LEAF_COUNTS / total).min(f32::MAX) } else { 0.0 };
         let mut result = Self::default();
         for (width, &e) in result.widths.iter_mut().zip(e) {
             *width = (e * scale) as i32 as u32 + if e > 0.0 { 1 } else { 0 };

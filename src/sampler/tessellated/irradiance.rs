@@ -69,15 +69,27 @@ impl Kernel for Sweep<'_> {
             importance[g] = soft(d, s[g] + wider, r[g] + wider);
             status[g] = if d >= s[g] && f[g] > 0.0 { ABOVE } else { BELOW };
         }
+        let mut certain = 0.0;
+        for (&importance, &status) in importance.iter().zip(&*status) {
+            certain += if status == ABOVE { importance } else { 0.0 };
+        }
         let notable = notable * sum(importance);
         for g in 0..count {
             if status[g] == BELOW && importance[g] > notable {
                 let leaves = Leaves::new(&triangles.leaves[g], Aim { axis: n, radius });
                 importance[g] = sum(&leaves.irradiance);
+                certain += leaves.certain();
                 status[g] = CROSSING;
                 if parts {
                     irradiance.parts.push(Part { group: g as u32, flux: leaves.flux(&triangles.leaves[g]) });
                 }
+            }
+        }
+        // A sun at the horizon, up or not: its group gets its share of the rays, not all.
+        if certain > 0.0 {
+            for g in 0..count {
+                let most = if status[g] == ABOVE { f32::MAX } else { certain };
+                importance[g] = if importance[g] < most { importance[g] } else { most };
             }
         }
     }
@@ -102,6 +114,30 @@ impl Leaves {
             above[i] = if d >= s[i] { 1.0 } else { 0.0 };
         }
         Self { irradiance, above }
+    }
+
+    /// The irradiance of the leaves that lie above the horizon without doubt.
+    #[inline(always)]
+    fn certain(&self) -> f32 {
+        let mut products = [0.0; LEAVES_A_GROUP];
+        for i in 0..LEAVES_A_GROUP {
+            products[i] = self.above[i] * self.irradiance[i];
+        }
+        sum(&products)
+    }
+
+    /// Irradiance as it is drawn by: one in doubt takes half at most.
+    #[inline(always)]
+    pub(super) fn drawn(&self) -> [f32; LEAVES_A_GROUP] {
+        let certain = self.certain();
+        let mut drawn = self.irradiance;
+        if certain > 0.0 {
+            for i in 0..LEAVES_A_GROUP {
+                let most = if self.above[i] > 0.0 { f32::MAX } else { certain };
+                drawn[i] = if drawn[i] < most { drawn[i] } else { most };
+            }
+        }
+        drawn
     }
 
     #[inline(always)]

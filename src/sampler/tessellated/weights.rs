@@ -162,7 +162,7 @@ impl Weights {
         let count = self.weighted.len();
         let weighted = &self.weighted[..count];
         let total = sum(weighted);
-        let scale = if total > 0.0 { GROUP_COUNTS / total } else { 0.0 };
+        let scale = if total > 0.0 { (GROUP_COUNTS / total).min(f32::MAX) } else { 0.0 };
         let widths = &mut self.widths[..count];
         for g in 0..count {
             // Never nothing where there is importance. (Signed: the conversion that vector units have.)
