@@ -119,9 +119,9 @@ impl Leaves {
     /// The irradiance of the leaves that lie above the horizon without doubt.
     #[inline(always)]
     fn certain(&self) -> f32 {
-        let mut products = [0.0; LEAVES_A_GROUP];
-        for i in 0..LEAVES_A_GROUP {
-            products[i] = self.above[i] * self.irradiance[i];
+        let mut products = self.irradiance;
+        for (product, above) in products.iter_mut().zip(&self.above) {
+            *product *= above;
         }
         sum(&products)
     }
@@ -132,9 +132,9 @@ impl Leaves {
         let certain = self.certain();
         let mut drawn = self.irradiance;
         if certain > 0.0 {
-            for i in 0..LEAVES_A_GROUP {
-                let most = if self.above[i] > 0.0 { f32::MAX } else { certain };
-                drawn[i] = if drawn[i] < most { drawn[i] } else { most };
+            for (drawn, &above) in drawn.iter_mut().zip(&self.above) {
+                let most = if above > 0.0 { f32::MAX } else { certain };
+                *drawn = if *drawn < most { *drawn } else { most };
             }
         }
         drawn
