@@ -149,8 +149,6 @@ pub struct CacheStats {
     pub bytes: u64,
     /// Share of the points that found a record.
     pub hit_rate: f64,
-    /// Share of the rays that were not traced because the cache said they would tell nothing.
-    pub rays_saved: f64,
 }
 
 /// Draws directions towards the dome. See the module for the contract.

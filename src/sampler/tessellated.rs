@@ -2,13 +2,18 @@
 //! with a Piecewise-Constant Importance Function*, SIGGRAPH 2004 sketch), improved by a shadow cache.
 //!
 //! A point's importance of a group of triangles is its irradiance on the point's normal ([`super::preconvolution`]) times
-//! what the shadow cache expects of its visibility ([`super::shadow_cache`]). One stratified number goes down the
-//! hierarchy: group, leaf, texel, place in the texel. Each level is an integer CDF, and the density is the product of the
-//! widths as they were drawn, so a rounded width or a stale record costs variance, never bias. What is below an integer
-//! step is filled up with fresh random bits at each level: every texel with light is drawn, however dim.
+//! what the shadow cache expects of its visibility ([`super::shadow_cache`]). Points whose normals lie in one small cell and
+//! that read the same record share these weights; a table holds the irradiance for every cell of normals.
 //!
-//! Control variate: where the cache expects visibility b, `b·L·(n·ω)` has the exact integral `b·n·F`; what is left to
-//! sample is the error of the expectation.
+//! One stratified number goes down the hierarchy: group, (leaf,) texel, place in the texel. Each level is an integer CDF, and
+//! the density is the product of the widths as they were drawn, so a rounded width or a stale record costs variance, never
+//! bias. What is below an integer step is filled up with fresh random bits at each level: every texel with light is drawn,
+//! however dim.
+//!
+//! Control variate: where the cache expects visibility b, `b·L·(n·ω)` has the exact integral `b·n·F`, linear in the normal and
+//! so exact for every point of a cell; what is left to sample is the error of the expectation. It also takes out how the
+//! cosine changes inside a group, so that under it texels are drawn by energy, straight from their group. Leaves serve where
+//! there is none (no record yet, `cache=off`) and at the horizon.
 
 mod draw;
 mod irradiance;
@@ -295,7 +300,7 @@ impl DomeSampler for Tessellated {
             bytes: bytes as u64,
             cache: self.cache.as_ref().map(|cache| {
                 let (records, bytes, hit_rate) = cache.stats();
-                CacheStats { records, bytes, hit_rate, rays_saved: 0.0 }
+                CacheStats { records, bytes, hit_rate }
             }),
         }
     }
