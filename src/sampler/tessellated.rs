@@ -292,7 +292,8 @@ impl DomeSampler for Tessellated {
 
     fn stats(&self) -> SamplerStats {
         let moments = 15 * 4 * (self.triangles.groups.x.len() + self.texels.leaves.len());
-        let bytes = moments + self.texels.bytes() + size_of_val(&self.places[..]);
+        let table: usize = self.table.iter().map(Irradiance::bytes).sum();
+        let bytes = moments + self.texels.bytes() + table + size_of_val(&self.places[..]);
         SamplerStats {
             prepare_s: self.prepare_s,
             triangles: self.texels.leaves.iter().filter(|leaf| leaf.end > leaf.begin).count() as u64,

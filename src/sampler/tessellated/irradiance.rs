@@ -36,6 +36,12 @@ pub(super) struct Irradiance {
     pub(super) parts: Vec<Part>,
 }
 
+impl Irradiance {
+    pub(super) fn bytes(&self) -> usize {
+        size_of_val(&self.importance[..]) + size_of_val(&self.status[..]) + size_of_val(&self.parts[..])
+    }
+}
+
 /// Makes an [`Irradiance`].
 pub(super) struct Sweep<'a> {
     pub(super) triangles: &'a Preconvolution,
