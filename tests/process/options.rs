@@ -36,7 +36,7 @@ const RENDER: &[Case] = &[
     ("--checkpoint-every", &["-1", "inf", "1000001"], "from 0 to 1000000"),
     ("--max-memory", &["0", "-1G", "1", "1X", "2000T"], "from 1M to 1024T"),
     ("--progress", &["0", "loud"], "auto, bar, plain, json, none"),
-    ("--accel", &["0", "magic"], "embree"),
+    ("--accel", &["0", "magic"], "bvh"),
     ("--sampler", &["0", "magic", "tessellated:cache=off,cache=off"], "tessellated"),
     ("--integrator", &["0", "magic"], "direct"),
 ];
