@@ -8,12 +8,12 @@ use std::path::{Path, PathBuf};
 #[non_exhaustive]
 pub enum Error {
     /// The operating system refused to read or write a file.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {error}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
+        /// What the system said. Not a source: the message has it, and a chain would say it twice.
+        error: std::io::Error,
     },
     /// A glTF asset (or one of its buffers and images) that can't be rendered; the message names place and remedy.
     #[error("{}: {message}", path.display())]
@@ -60,8 +60,8 @@ pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
     /// An [`Error::Io`] at `path`.
-    pub fn io(path: &Path, source: std::io::Error) -> Self {
-        Self::Io { path: path.to_owned(), source }
+    pub fn io(path: &Path, error: std::io::Error) -> Self {
+        Self::Io { path: path.to_owned(), error }
     }
     /// An [`Error::Asset`] at `path`.
     pub fn asset(path: &Path, message: impl Into<String>) -> Self {

@@ -1,5 +1,7 @@
 //! The `domelight` program: see `domelight --help`.
 
+#[macro_use]
+mod say;
 mod cli;
 mod commands;
 mod markup;
@@ -12,7 +14,7 @@ fn main() -> ExitCode {
     match cli::run() {
         Ok(code) => ExitCode::from(code),
         Err(error) => {
-            eprintln!("domelight: {error:#}");
+            say!("domelight: {error:#}");
             ExitCode::from(2)
         }
     }

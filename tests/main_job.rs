@@ -82,6 +82,7 @@ fn an_asset_and_a_dome_become_images_with_statistics() {
     for key in ["camera_rays", "shadow_rays", "triangles"] {
         assert!(stats[key].as_u64().is_some_and(|v| v > 0), "{key}: {}", stats[key]);
     }
+    assert!(stats["max_weight"].as_f64().is_some_and(|v| v > 0.0), "max_weight: {}", stats["max_weight"]);
 }
 
 #[test]

@@ -100,7 +100,7 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("starting threads")?;
     let bench = load(args, threads)?;
     let reference = reference(args, &bench)?;
-    eprintln!("reference  {}", reference.about);
+    say!("reference  {}", reference.about);
 
     let mut report = Report::new(args, &bench, &reference, threads);
     let mut runs: BTreeMap<(usize, usize), Vec<Figures>> = BTreeMap::new();
@@ -163,7 +163,7 @@ fn reference(args: &Args, bench: &Bench) -> Result<Reference> {
     if let Some(path) = &args.reference {
         return Reference::read(path, args.size);
     }
-    eprintln!("reference  making it …");
+    say!("reference  making it …");
     let reference = Reference::make(bench, &args.reference_sampler, args.reference_rays)?;
     if let Some(path) = &args.save_reference {
         reference.write(path, args.size)?;

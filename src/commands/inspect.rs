@@ -63,7 +63,7 @@ impl Args {
         let Some(dir) = &self.out_dir else { bail!("no --out-dir") };
         let path = dir.join(name);
         canvas.save(&path)?;
-        println!("{}", path.display());
+        out!("{}", path.display());
         Ok(())
     }
 }
@@ -79,7 +79,7 @@ fn print(args: &Args, dome: &Dome, sampler: &SamplerStats) {
     };
     let black = dome.texels.iter().filter(|t| **t == [0.0; 3]).count();
     let faults = dome.faults;
-    println!("{}", args.dome.display());
+    out!("{}", args.dome.display());
     for (key, value) in [
         ("size", format!("{} × {} texels", stats.width, stats.height)),
         ("channels above 0", range),
@@ -111,7 +111,7 @@ fn print(args: &Args, dome: &Dome, sampler: &SamplerStats) {
             ),
         ),
     ] {
-        println!("  {key:<17} {value}");
+        out!("  {key:<17} {value}");
     }
 }
 
@@ -131,9 +131,11 @@ fn pictures(args: &Args, dome: &Arc<Dome>, sampler: &dyn DomeSampler, normals: &
         let (importance, most) = maps::importance(sampler, dome, normal);
         args.save(&format!("importance-{i}.png"), &importance)?;
         args.save(&format!("drawn-{i}.png"), &maps::drawn(sampler, normal, most))?;
-        println!(
+        out!(
             "    for the normal {:.2},{:.2},{:.2}: brightest at {most:.3} sr⁻¹ and beyond, black a thousandth of it",
-            normal.x, normal.y, normal.z
+            normal.x,
+            normal.y,
+            normal.z
         );
     }
     Ok(())

@@ -20,7 +20,7 @@ use domelight::output::{self, Frame, Layer, Output};
 use domelight::registry::{Params, resolve};
 use domelight::render::{Picture, Render, Watch};
 use domelight::sampler::{SAMPLERS, Setup};
-use domelight::scene::{self, View};
+use domelight::scene::{Asset, View};
 use progress::Progress;
 use report::{Report, Times};
 use resume::Keeper;
@@ -42,14 +42,13 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     let outputs = outputs(args)?;
     let resume = args.resume.as_deref().map(Checkpoint::open).transpose()?;
     let threads = args.threads();
-    if let Some(most) = args.max_memory {
-        memory::check(args, most, &settings, [&accel_params, &sampler_params], threads)?;
-    }
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("starting threads")?;
     let mut times = Times::default();
-
     let clock = Instant::now();
-    let scene = Arc::new(scene::load(&args.input.scene_file, &args.input.load_options())?);
+    let asset = Asset::open(&args.input.scene_file)?;
+    memory::check(args, &asset, &settings, [&accel_params, &sampler_params], threads)?;
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("starting threads")?;
+    let scene = Arc::new(asset.load(&args.input.load_options())?);
+    drop(asset);
     times.load_s = clock.elapsed().as_secs_f64();
     args.say_warnings(&scene);
 
@@ -158,7 +157,7 @@ fn watch_interrupts() -> Result<()> {
             // The second time: now. Outputs are renamed into place when whole, so nothing is half-written.
             std::process::exit(130);
         }
-        eprintln!("\ndomelight: finishing this pass; again to stop at once");
+        say!("\ndomelight: finishing this pass; again to stop at once");
     })
     .context("watching for ^C")
 }

@@ -54,9 +54,9 @@ impl Warnings {
     }
 }
 
-/// A glTF file in memory.
+/// A glTF file in memory, opened but not yet loaded.
 #[derive(Debug)]
-pub(super) struct Asset {
+pub struct Asset {
     pub(super) path: PathBuf,
     pub(super) root: Root,
     /// Each buffer's bytes, cut to its `byteLength`; empty for one nobody can read .
@@ -65,7 +65,10 @@ pub(super) struct Asset {
 
 impl Asset {
     /// Reads the file and its buffers.
-    pub(super) fn open(path: &Path) -> Result<Self> {
+    ///
+    /// # Errors
+    /// As [`super::load`].
+    pub fn open(path: &Path) -> Result<Self> {
         let mut bytes = uri::read_file(path)?;
         let mut bin = None;
         let text = if bytes.starts_with(b"glTF") {

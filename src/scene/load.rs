@@ -41,43 +41,51 @@ pub struct LoadOptions {
 /// [`crate::error::Error::Io`] when the file can't be read, [`crate::error::Error::Asset`] when it can't be rendered;
 /// the message names the place in the file and the way out.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene> {
-    let asset = Asset::open(path)?;
-    let mut warnings = Warnings::default();
-    asset.warn_ignored(&mut warnings);
-    let nodes = nodes::flatten(&asset, options.scene.as_ref(), &mut warnings)?;
-    let mut materials = Materials::new(&asset);
-    let mut baker = Baker::default();
+    Asset::open(path)?.load(options)
+}
 
-    for group in groups(&asset, &nodes.placements) {
-        let first = &nodes.placements[group[0]];
-        let primitives = asset.root.meshes[first.mesh].primitives.len();
-        let skin = asset.root.nodes[first.node].skin.map(|s| Skin::new(&asset, s.value(), &nodes.world)).transpose()?;
-        for p in 0..primitives {
-            let part = Part { mesh: first.mesh, primitive: p, node: first.node };
-            let Some(mesh) = geometry::load(&asset, &part, skin.as_ref(), &mut materials, &mut warnings)? else {
-                continue;
-            };
-            if skin.is_some() {
-                // Skinned vertices are in world space already, whatever the node says.
-                baker.bake(mesh, &[DAffine3::IDENTITY]);
-                continue;
-            }
-            let worlds: Vec<DAffine3> = group.iter().map(|&i| nodes.placements[i].world).collect();
-            let instanced = worlds.len() > 1 && mesh.indices.len() >= LEAST_INSTANCED;
-            if instanced && worlds.iter().all(|w| normal_matrix(w).is_some()) {
-                baker.instance(mesh, &worlds);
-            } else {
-                baker.bake(mesh, &worlds);
+impl Asset {
+    /// The scene in the file; see [`load`].
+    pub fn load(&self, options: &LoadOptions) -> Result<Scene> {
+        let asset = self;
+        let mut warnings = Warnings::default();
+        asset.warn_ignored(&mut warnings);
+        let nodes = nodes::flatten(asset, options.scene.as_ref(), &mut warnings)?;
+        let mut materials = Materials::new(asset);
+        let mut baker = Baker::default();
+
+        for group in groups(asset, &nodes.placements) {
+            let first = &nodes.placements[group[0]];
+            let primitives = asset.root.meshes[first.mesh].primitives.len();
+            let skin =
+                asset.root.nodes[first.node].skin.map(|s| Skin::new(asset, s.value(), &nodes.world)).transpose()?;
+            for p in 0..primitives {
+                let part = Part { mesh: first.mesh, primitive: p, node: first.node };
+                let Some(mesh) = geometry::load(asset, &part, skin.as_ref(), &mut materials, &mut warnings)? else {
+                    continue;
+                };
+                if skin.is_some() {
+                    // Skinned vertices are in world space already, whatever the node says.
+                    baker.bake(mesh, &[DAffine3::IDENTITY]);
+                    continue;
+                }
+                let worlds: Vec<DAffine3> = group.iter().map(|&i| nodes.placements[i].world).collect();
+                let instanced = worlds.len() > 1 && mesh.indices.len() >= LEAST_INSTANCED;
+                if instanced && worlds.iter().all(|w| normal_matrix(w).is_some()) {
+                    baker.instance(mesh, &worlds);
+                } else {
+                    baker.bake(mesh, &worlds);
+                }
             }
         }
+        let mut scene = Scene { cameras: nodes.cameras, ..Scene::default() };
+        baker.finish(&mut scene, &mut warnings);
+        materials.finish(&mut scene, &mut warnings)?;
+        scene.bounds = bounds(&scene);
+        scene.needs = needs(&scene);
+        scene.warnings = warnings.lines();
+        Ok(scene)
     }
-    let mut scene = Scene { cameras: nodes.cameras, ..Scene::default() };
-    baker.finish(&mut scene, &mut warnings);
-    materials.finish(&mut scene, &mut warnings)?;
-    scene.bounds = bounds(&scene);
-    scene.needs = needs(&scene);
-    scene.warnings = warnings.lines();
-    Ok(scene)
 }
 
 /// Placements that show the same geometry: the same mesh with the same morph weights, unskinned.

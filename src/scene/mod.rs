@@ -19,6 +19,7 @@ mod texture;
 mod uri;
 pub mod weigh;
 
+pub use asset::Asset;
 pub use camera::{CameraChoice, View};
 pub use load::{LoadOptions, SceneChoice, load};
 pub use surface::offset_origin;

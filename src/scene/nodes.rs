@@ -60,6 +60,14 @@ pub(super) fn flatten(asset: &Asset, choice: Option<&SceneChoice>, warnings: &mu
             match copies(asset, i)? {
                 Some(copies) => {
                     let world = out.world[i];
+                    // Many nodes may name one list of copies: what they come to may be more than there is.
+                    let total = out.placements.len() + copies.len();
+                    if total > MOST_COPIES || out.placements.try_reserve(copies.len()).is_err() {
+                        return Err(asset.error(format!(
+                            "nodes[{i}] makes {total} copies in all; at most {MOST_COPIES} are read, as memory allows: \
+                             split the file"
+                        )));
+                    }
                     out.placements.extend(copies.into_iter().map(|c| Placement { node: i, mesh, world: world * c }));
                 }
                 None => out.placements.push(Placement { node: i, mesh, world: out.world[i] }),

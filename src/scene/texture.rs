@@ -72,7 +72,7 @@ pub(super) fn decode(asset: &Asset, slots: &[Slot], warnings: &mut Warnings) -> 
     Ok(textures.collect())
 }
 
-/// Pixels of an image, by its header; what is no image is reported when it is decoded.
+/// Pixels of an image, by its header; none for what is reported when it is decoded.
 pub(super) fn pixels(asset: &Asset, index: usize) -> u64 {
     let json = &asset.root.images[index];
     let place = format!("images[{index}]");
@@ -81,7 +81,14 @@ pub(super) fn pixels(asset: &Asset, index: usize) -> u64 {
     let bytes = owned.as_deref().or(view.map(|(bytes, _)| bytes)).unwrap_or_default();
     let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format();
     let size = reader.ok().and_then(|reader| reader.into_dimensions().ok());
+    let size = size.filter(|&size| holds(size, bytes.len()));
     size.map_or(0, |(width, height)| u64::from(width) * u64::from(height))
+}
+
+/// Whether so many bytes may be a picture of this size.
+fn holds((width, height): (u32, u32), bytes: usize) -> bool {
+    let pixels = u64::from(width) * u64::from(height);
+    width.max(height) <= LARGEST_SIDE && (pixels <= FREE_PIXELS || pixels / 8192 <= bytes as u64)
 }
 
 struct Decoded {
@@ -126,13 +133,12 @@ fn decode_image(asset: &Asset, index: usize) -> Result<Decoded> {
         Ok(reader)
     };
     let (width, height) = reader()?.into_dimensions().map_err(failed)?;
-    let pixels = u64::from(width) * u64::from(height);
     if width.max(height) > LARGEST_SIDE {
         return Err(asset.error(format!(
             "{place} is {width}×{height}; textures have at most {LARGEST_SIDE} pixels a side: scale it down"
         )));
     }
-    if pixels > FREE_PIXELS && pixels / 8192 > bytes.len() as u64 {
+    if !holds((width, height), bytes.len()) {
         return Err(asset.error(format!(
             "{place} claims {width}×{height} pixels in {} bytes; it is damaged: save it again",
             bytes.len()

@@ -1,5 +1,8 @@
 //! `domelight bench rays` without the rest of the program: `cargo bench --bench rays -- --generate terrain:300k`.
 
+#[macro_use]
+#[path = "../../src/say.rs"]
+mod say;
 #[path = "../../src/commands/bench_rays/mod.rs"]
 mod bench_rays;
 #[path = "../../src/commands/values.rs"]

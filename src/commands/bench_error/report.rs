@@ -68,13 +68,22 @@ impl<'a> Report<'a> {
 
     pub(super) fn print_since(&self, last: usize) {
         if self.rows.len() == last {
-            println!(
+            out!(
                 "{:<26} {:>8} {:>10} {:>8} {:>9} {:>9} {:>8} {:>11} {:>7}  {:<17}",
-                "", "budget", "relMSE", "±", "RMSE", "cpu s", "prep. s", "relMSE·s", "ns/ray", "ratio"
+                "",
+                "budget",
+                "relMSE",
+                "±",
+                "RMSE",
+                "cpu s",
+                "prep. s",
+                "relMSE·s",
+                "ns/ray",
+                "ratio"
             );
         }
         for r in &self.rows[self.rows.len() - last..] {
-            println!(
+            out!(
                 "{:<26} {:>8} {:>10.2e} {:>6.1} % {:>9.2e} {:>9.3} {:>8.3} {:>11.2e} {:>7.1}  {:.4} ± {:.4}{}",
                 r.sampler,
                 format!("{}x{}", r.spp, r.rays),
@@ -93,11 +102,11 @@ impl<'a> Report<'a> {
     }
 
     pub(super) fn print_reached(&self) {
-        println!("\n{:<26} {:>10} {:>12}", "", "to relMSE", "cpu s");
+        out!("\n{:<26} {:>10} {:>12}", "", "to relMSE", "cpu s");
         let reached = self.reached();
         for r in &reached {
             let seconds = r.seconds.map_or_else(|| "never".to_owned(), |s| format!("{s:.3}"));
-            println!(
+            out!(
                 "{:<26} {:>10} {seconds:>12}{}",
                 r.sampler,
                 r.target,
@@ -107,7 +116,7 @@ impl<'a> Report<'a> {
         let unsteady = |r: &&Row| r.cpu_range[1] > 1.25 * r.cpu_range[0];
         let count = self.rows.iter().filter(unsteady).count();
         if count > 0 {
-            println!(
+            out!(
                 "\nwarning: CPU time varies by more than 25 % in {count} of {} cases: close other programs",
                 self.rows.len()
             );

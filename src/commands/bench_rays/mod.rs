@@ -104,7 +104,7 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     }
     bench.overhead()?;
     if !agreed {
-        eprintln!("error: the structures disagree");
+        say!("error: the structures disagree");
         std::process::exit(1);
     }
     Ok(())
@@ -126,7 +126,7 @@ impl Bench<'_> {
     /// Measures one scene; false where answers differ.
     fn scene(&self, name: &str, scene: &Arc<Scene>) -> anyhow::Result<(Vec<Row>, bool)> {
         let triangles = scene.triangle_count();
-        println!("{name}: {triangles} triangles, {} instances", scene.instances.len());
+        out!("{name}: {triangles} triangles, {} instances", scene.instances.len());
         let mut rows = Vec::new();
         let mut built: Vec<Box<dyn Accel>> = Vec::new();
         let row = |spec: &str, what, threads, sample: Sample, unit| Row {
@@ -168,7 +168,7 @@ impl Bench<'_> {
             for (spec, accel) in self.specs.iter().zip(&accels).skip(1) {
                 let wrong = kind.disagreements(accels[0], *accel, rays);
                 if wrong as f64 > allowed(rays.len()) {
-                    println!(
+                    out!(
                         "error: {} and {spec} answer {wrong} of {} {} rays differently",
                         self.specs[0],
                         rays.len(),
@@ -189,7 +189,7 @@ impl Bench<'_> {
         report::print(&rows);
         let noisy = rows.iter().filter(|r| r.unit == "Mrays/s" && r.spread > 0.1).count();
         if noisy > 0 {
-            println!("warning: {noisy} figures vary by more than 10 %: close other programs, or give more --rounds\n");
+            out!("warning: {noisy} figures vary by more than 10 %: close other programs, or give more --rounds\n");
         }
         Ok((rows, agreed))
     }
@@ -199,7 +199,7 @@ impl Bench<'_> {
         let empty = Arc::new(Scene::default());
         for spec in self.specs {
             let accel = accel::build(spec, &empty, 1)?;
-            println!("{spec:<34} {:.1} ns a call on an empty scene", measure::overhead(&*accel));
+            out!("{spec:<34} {:.1} ns a call on an empty scene", measure::overhead(&*accel));
         }
         Ok(())
     }

@@ -6,11 +6,11 @@ use std::path::Path;
 
 /// Prints the rows of one scene.
 pub(super) fn print(rows: &[Row]) {
-    println!("{:<34} {:>7} {:>14} {:>9} {:>7} {:>9}", "", "threads", "figure", "", "spread", "/ embree");
+    out!("{:<34} {:>7} {:>14} {:>9} {:>7} {:>9}", "", "threads", "figure", "", "spread", "/ embree");
     for row in rows {
         let ratio = row.ratio.map_or(String::new(), |r| format!("{r:.2}"));
         let what = format!("{:<22} {}", row.accel, row.what);
-        println!(
+        out!(
             "{what:<34} {:>7} {:>14.3} {:>9} {:>5.1} % {ratio:>9}",
             row.threads,
             row.value,
@@ -18,7 +18,7 @@ pub(super) fn print(rows: &[Row]) {
             100.0 * row.spread
         );
     }
-    println!();
+    out!("");
 }
 
 /// Writes everything measured so far; called after every case, so that an interrupted run keeps what it has.

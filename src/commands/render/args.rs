@@ -86,7 +86,7 @@ pub(crate) struct Args {
     /// Go on from a checkpoint of the same render
     #[arg(long, value_name = "FILE", help_heading = "Running")]
     pub(super) resume: Option<PathBuf>,
-    /// Refuse a render that would hold more memory than this (512M, 8G), estimated before it is allocated
+    /// Refuse a render that would hold more memory than this (512M, 8G), estimated before it is allocated; without it, than the machine has
     #[arg(long, value_name = "SIZE", value_parser = bytes, allow_hyphen_values = true, help_heading = "Running")]
     pub(super) max_memory: Option<u64>,
     /// How progress is shown: bar (on a terminal), plain (a line a per cent), json, none
@@ -162,7 +162,7 @@ impl Args {
     pub(super) fn say_warnings(&self, scene: &Scene) {
         if !self.quiet {
             for warning in &scene.warnings {
-                eprintln!("domelight: {}: {warning}", self.input.scene_file.display());
+                say!("domelight: {}: {warning}", self.input.scene_file.display());
             }
         }
     }
@@ -180,10 +180,10 @@ impl Args {
             }
         }
         if !self.quiet && !repaired.is_empty() {
-            eprintln!("domelight: {}: {}", self.input.dome.display(), repaired.join(", "));
+            say!("domelight: {}: {}", self.input.dome.display(), repaired.join(", "));
         }
         if self.verbose {
-            eprintln!("dome       {} × {} texels", dome.grid.width, dome.grid.height);
+            say!("dome       {} × {} texels", dome.grid.width, dome.grid.height);
         }
     }
 
@@ -207,9 +207,9 @@ impl Args {
             }
         }
         let stats = accel.stats();
-        eprintln!("scene      {} triangles, {} in memory", scene.triangle_count(), stats.triangles);
-        eprintln!("needs      {}", if list.is_empty() { "geometry alone".to_owned() } else { list.join(", ") });
-        eprintln!(
+        say!("scene      {} triangles, {} in memory", scene.triangle_count(), stats.triangles);
+        say!("needs      {}", if list.is_empty() { "geometry alone".to_owned() } else { list.join(", ") });
+        say!(
             "accel      {} in {:.2} s, {:.1} MB, {:.0} bytes a triangle",
             self.accel,
             stats.build_s,
@@ -220,14 +220,15 @@ impl Args {
 
     pub(super) fn say_report(&self, report: &Report<'_>) {
         if self.verbose {
-            eprint!("{}", report.text());
+            say!("{}", report.text().trim_end());
         }
         let counts = &report.picture.counts;
         if counts.dropped > 0 && !self.quiet {
             let [x, y, sample] = counts.dropped_at.unwrap_or_default();
-            eprintln!(
+            say!(
                 "domelight: {} camera samples were not finite and were dropped; one is pixel {x},{y} sample {sample} (seed {})",
-                counts.dropped, self.seed
+                counts.dropped,
+                self.seed
             );
         }
     }

@@ -1,4 +1,5 @@
-//! `--max-memory`: what a render will hold, estimated from its parts before they are allocated.
+//! `--max-memory`, or else what the machine has: what a render will hold, estimated from its parts before they are
+//! allocated. A small file may ask for a hundred gigabytes, by naming one accessor a thousand times.
 //!
 //! The bytes a thing of each kind takes are rounded up from measured peaks (README, Memory); parts that are not held at
 //! the same time are added up all the same, so that the estimate lies above what is used.
@@ -9,17 +10,20 @@ use domelight::dome;
 use domelight::error::Error;
 use domelight::registry::Params;
 use domelight::render::Settings;
-use domelight::scene::weigh::weigh;
+use domelight::scene::Asset;
+use std::fs::read_to_string;
 
 /// Bytes of the program, its libraries and what its threads hold.
 const PROGRAM: u64 = 32 << 20;
+/// A mesh's placement while it is loaded, as an instance, and in the accelerator.
+const PLACEMENT: u64 = 1024;
 /// A thread's stack and scratch memory, as far as they are touched.
 const THREAD: u64 = 4 << 20;
 
-/// Refuses a render whose parts are estimated above `most` bytes.
+/// Refuses a render whose parts are estimated above `--max-memory`, or above what the machine gives.
 pub(super) fn check(
     args: &Args,
-    most: u64,
+    asset: &Asset,
     settings: &Settings,
     [accel, sampler]: [&Params; 2],
     threads: usize,
@@ -34,15 +38,16 @@ pub(super) fn check(
     }
     let [columns, rows] = dome::load::size(&args.input.dome)?;
     let texels = u64::from(columns) * u64::from(rows);
-    let scene = weigh(&args.input.scene_file, &args.input.load_options())?;
+    let scene = asset.weigh(&args.input.load_options())?;
     let cache = if sampler.name() == "tessellated" && sampler.switch("cache") {
         sampler.integer("cache-mb").unwrap_or_default() << 20
     } else {
         0
     };
     let parts = [
-        (format!("{} triangles", scene.triangles), scene.file + 2 * scene.geometry),
-        ("their textures".to_owned(), 3 * scene.textures),
+        (format!("{} triangles", scene.triangles), scene.file.saturating_add(scene.geometry.saturating_mul(2))),
+        (format!("{} placements of meshes", scene.placements), scene.placements.saturating_mul(PLACEMENT)),
+        ("their textures".to_owned(), scene.textures.saturating_mul(3)),
         (format!("accelerator {}", accel.name()), scene.triangles.saturating_mul(triangle(accel))),
         (format!("dome of {columns}x{rows}"), texels * TEXEL),
         (format!("sampler {}", sampler.name()), texels * texel(sampler) + cache),
@@ -50,12 +55,17 @@ pub(super) fn check(
         ("program and threads".to_owned(), PROGRAM + THREAD * threads as u64),
     ];
     let total = parts.iter().fold(0u64, |sum, (_, bytes)| sum.saturating_add(*bytes));
+    let (most, whose) = match args.max_memory {
+        Some(most) => (most, "--max-memory"),
+        None => (there(), "this machine and its limits (--max-memory overrides them)"),
+    };
     if total > most {
         let list: Vec<_> = parts.iter().map(|(what, bytes)| format!("{what} {}", mib(*bytes))).collect();
         bail!(Error::Option(format!(
-            "--max-memory {} would be passed: about {} are needed ({}); give more, or take less of the largest part",
-            mib(most),
+            "{}: about {} are needed, more than the {} of {whose}: {}; give more, or take less of the largest part",
+            args.input.scene_file.display(),
             mib(total),
+            mib(most),
             list.join(", ")
         )));
     }
@@ -64,6 +74,21 @@ pub(super) fn check(
 
 fn mib(bytes: u64) -> String {
     format!("{} MiB", bytes.div_ceil(1 << 20))
+}
+
+/// What there is: the machine's memory, or what a limit (`ulimit -v`, a container's) leaves of it.
+fn there() -> u64 {
+    let read = |path: &str| read_to_string(path).unwrap_or_default();
+    let word = |text: &str, key: &str, n: usize| {
+        let line = text.lines().find_map(|line| line.strip_prefix(key))?;
+        line.split_whitespace().nth(n)?.parse::<u64>().ok()
+    };
+    let installed = word(&read("/proc/meminfo"), "MemTotal:", 0).map(|kib| kib << 10);
+    // Of addresses more are taken than of memory: stacks, and what allocators keep in reserve.
+    let addresses = word(&read("/proc/self/limits"), "Max address space", 0).map(|bytes| bytes / 4 * 3);
+    let container = ["/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"];
+    let container = container.into_iter().filter_map(|path| read(path).trim().parse().ok());
+    [installed, addresses].into_iter().flatten().chain(container).min().unwrap_or(u64::MAX)
 }
 
 /// A pixel's sums, those of the tiles of a pass, the finished picture and the file that is written from it.

@@ -46,7 +46,7 @@ impl<'a> Keeper<'a> {
         }
         // A full disk costs the checkpoint, not the render; the file of the last one is still there.
         if let Err(error) = checkpoint::write(path, &self.identity, state, sampler) {
-            eprintln!("domelight: no checkpoint could be written: {error}");
+            say!("domelight: no checkpoint could be written: {error}");
         }
         self.last = Instant::now();
     }
