@@ -45,7 +45,7 @@ struct Header {
 /// What the render's image is a function of. `plugins` are accelerator, sampler and integrator with all options.
 pub fn identity(render: &Render<'_>, plugins: [&Params; 3]) -> Identity {
     // Threads, tiles and limits of time change nothing in a pass.
-    let Settings { size, crop, spp, rays, seed, tile: _, filter, background, aovs, variance, time: _ } =
+    let Settings { size, crop, spp, rays, camera_rays: _, seed, tile: _, filter, background, aovs, variance, time: _ } =
         render.settings;
     let mut dome = Sha256::new();
     dome.update(format!("{:?}", render.dome.grid));
@@ -60,6 +60,7 @@ pub fn identity(render: &Render<'_>, plugins: [&Params; 3]) -> Identity {
         ("crop", crop.map(|v| v.to_string()).join(",")),
         ("spp", spp.to_string()),
         ("rays", rays.to_string()),
+        ("camera rays", render.settings.camera_rays().to_string()),
         ("seed", seed.to_string()),
         ("filter", format!("{filter:?}")),
         ("background", format!("{background:?}")),

@@ -1,4 +1,4 @@
-//! Sums and weights of pixels, and where in a pixel a camera sample falls.
+//! Sums over a pixel's camera samples, and where in a pixel a camera sample falls.
 //!
 //! A sample belongs to one pixel: filters are drawn from, not splatted (filter importance sampling, Ernst et al. 2006),
 //! so that tiles and crops never share pixels and an image does not depend on how it was cut up.
@@ -121,14 +121,13 @@ pub struct AovSample {
 }
 
 /// A pixel's sums.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
 pub struct Pixel {
-    /// Σ weight · (R, G, B, A).
+    /// Σ (R, G, B, A) of the camera samples.
     pub sum: [f64; 4],
-    /// Σ weight.
-    pub weight: f64,
-    /// Camera samples taken.
-    pub samples: u32,
+    /// Camera samples.
+    pub samples: f64,
 }
 
 /// A rectangle of pixels.
@@ -140,7 +139,7 @@ pub struct Film {
     pub size: [u32; 2],
     /// Row by row.
     pub pixels: Vec<Pixel>,
-    /// Σ weight · (albedo, normal, depth, position, light) a pixel; empty unless asked for.
+    /// Σ (albedo, normal, depth, position, light) a pixel; empty unless asked for.
     pub aovs: Vec<[f64; 12]>,
     /// What variances are made from; empty unless asked for.
     pub replicates: Replicates,
@@ -160,20 +159,19 @@ impl Film {
     }
 
     /// Adds a sample to the pixel at `index`. The caller has dropped non-finite ones.
-    pub fn add(&mut self, index: usize, sample: &Sample, weight: f64) {
+    pub fn add(&mut self, index: usize, sample: &Sample) {
         let pixel = &mut self.pixels[index];
         let values = [sample.radiance.x, sample.radiance.y, sample.radiance.z, sample.alpha];
         for (sum, value) in pixel.sum.iter_mut().zip(values) {
-            *sum += weight * f64::from(value);
+            *sum += f64::from(value);
         }
-        pixel.weight += weight;
-        pixel.samples += 1;
+        pixel.samples += 1.0;
         if let (Some(sums), Some(aovs)) = (self.aovs.get_mut(index), &sample.aovs) {
             let [a, n, p] = [aovs.albedo, aovs.normal, aovs.position].map(|v| v.to_array());
             let values =
                 [a[0], a[1], a[2], n[0], n[1], n[2], aovs.depth, p[0], p[1], p[2], aovs.light[0], aovs.light[1]];
             for (sum, value) in sums.iter_mut().zip(values) {
-                *sum += weight * f64::from(value);
+                *sum += f64::from(value);
             }
         }
     }
@@ -188,7 +186,6 @@ impl Film {
                 for (sum, value) in own.sum.iter_mut().zip(other.sum) {
                     *sum += value;
                 }
-                own.weight += other.weight;
                 own.samples += other.samples;
                 if !tile.aovs.is_empty() {
                     for (sum, value) in self.aovs[to + i].iter_mut().zip(tile.aovs[from + i]) {
@@ -202,10 +199,7 @@ impl Film {
     /// Writes the sums, for a checkpoint.
     pub(crate) fn save(&self, out: &mut dyn Write) -> io::Result<()> {
         let Self { offset: _, size: _, pixels, aovs, replicates } = self;
-        for &Pixel { sum: [r, g, b, a], weight, samples } in pixels {
-            out.write_all(bytemuck::bytes_of(&[r, g, b, a, weight]))?;
-            out.write_all(&samples.to_ne_bytes())?;
-        }
+        out.write_all(bytemuck::cast_slice(pixels))?;
         out.write_all(bytemuck::cast_slice(aovs))?;
         out.write_all(&replicates.count.to_ne_bytes())?;
         out.write_all(bytemuck::cast_slice(&replicates.pixels))
@@ -213,13 +207,7 @@ impl Film {
 
     /// Reads the sums of a film of the same size and layers.
     pub(crate) fn restore(&mut self, input: &mut dyn Read) -> io::Result<()> {
-        for pixel in &mut self.pixels {
-            let (mut values, mut samples) = ([0.0; 5], [0; 4]);
-            input.read_exact(bytemuck::bytes_of_mut(&mut values))?;
-            input.read_exact(&mut samples)?;
-            let [r, g, b, a, weight] = values;
-            *pixel = Pixel { sum: [r, g, b, a], weight, samples: u32::from_ne_bytes(samples) };
-        }
+        input.read_exact(bytemuck::cast_slice_mut(&mut self.pixels))?;
         input.read_exact(bytemuck::cast_slice_mut(&mut self.aovs))?;
         let mut count = [0; 4];
         input.read_exact(&mut count)?;
@@ -234,7 +222,7 @@ impl Film {
 
     /// The picture: R, G, B, A interleaved.
     pub fn rgba(&self) -> Vec<f32> {
-        let mean = |p: &Pixel| p.sum.map(|s| if p.weight > 0.0 { (s / p.weight) as f32 } else { 0.0 });
+        let mean = |p: &Pixel| p.sum.map(|s| if p.samples > 0.0 { (s / p.samples) as f32 } else { 0.0 });
         self.pixels.iter().flat_map(mean).collect()
     }
 
@@ -250,7 +238,7 @@ impl Film {
                 return self.aovs.iter().map(ratio).collect();
             }
         };
-        let scale = |i: usize| if self.pixels[i].weight > 0.0 { 1.0 / self.pixels[i].weight } else { 0.0 };
+        let scale = |i: usize| if self.pixels[i].samples > 0.0 { 1.0 / self.pixels[i].samples } else { 0.0 };
         let values = self.aovs.iter().enumerate();
         values.flat_map(|(i, s)| s[range.clone()].iter().map(move |v| (v * scale(i)) as f32)).collect()
     }

@@ -47,22 +47,37 @@ pub fn owen(x: u32, seed: u32) -> u32 {
 pub fn sobol2(index: u32, seed: u32) -> [u32; 2] {
     // A nested scramble of the index permutes within every aligned power-of-two block: each stays a (0, m, 2)-net.
     let index = owen(index, combine(seed, 2));
-    let x = index.reverse_bits();
-    let mut y = 0;
-    let (mut i, mut v) = (index, 1u32 << 31);
-    while i != 0 {
-        if i & 1 != 0 {
-            y ^= v;
-        }
-        v ^= v >> 1;
-        i >>= 1;
-    }
+    let (x, y) = (index.reverse_bits(), second_dimension(index));
     [owen(x, combine(seed, 0)), owen(y, combine(seed, 1))]
+}
+
+/// Sobol's second generator matrix is Pascal's triangle modulo 2, a Kronecker power: its product takes five steps.
+#[inline(always)]
+fn second_dimension(index: u32) -> u32 {
+    let mut y = index;
+    y ^= (y & 0xaaaa_aaaa) >> 1;
+    y ^= (y & 0xcccc_cccc) >> 2;
+    y ^= (y & 0xf0f0_f0f0) >> 4;
+    y ^= (y & 0xff00_ff00) >> 8;
+    y ^= y >> 16;
+    y.reverse_bits()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_second_dimension_follows_its_direction_numbers() {
+        for index in (0..10_000).map(|i| if i < 100 { i } else { mix(i) }) {
+            let (mut expected, mut direction) = (0, 1u32 << 31);
+            for bit in 0..32 {
+                expected ^= if index >> bit & 1 == 1 { direction } else { 0 };
+                direction ^= direction >> 1;
+            }
+            assert_eq!(second_dimension(index), expected, "{index}");
+        }
+    }
 
     #[test]
     fn aligned_blocks_of_the_sequence_are_nets() {

@@ -1,13 +1,12 @@
-//! Passes × tiles.
+//! Passes × tiles ([`schedule`] says which passes).
 //!
-//! A pass takes some camera samples of some pixels. Without a learning sampler passes only cut the work up. With one,
-//! the first camera samples come in four *stages*, each a lattice of pixels: every 64th pixel, every 16th, every 4th, the
-//! rest; after each stage the sampler goes by what was seen so far. A pixel's own samples therefore never depend on
-//! what they saw themselves, all of them form one stratified set, and the image is unbiased in the strict sense. Later
-//! samples are one more stage with numbers of their own. Where variances are asked for, every replicate has numbers of
-//! its own ([`crate::film::replicates`]).
+//! Camera samples that trace shadow rays have others beside them that don't: those show what the sampler expects there,
+//! C, and the shaded ones how it is wrong, I − C. The mean of C over all and of I − C over the shaded is unbiased whatever C
+//! is, and edges, textures and bumps inside a pixel are seen by cheap rays ([`Integrator::expected`]).
 //!
 //! Tiles are independent: their queues of shadow rays, their films and the blocks of the shadow cache are their own.
+
+mod schedule;
 
 use crate::accel::{Accel, Hit, Ray};
 use crate::dome::Dome;
@@ -21,6 +20,7 @@ use crate::scene::Scene;
 use crate::scene::camera::View;
 use glam::Vec3;
 use rayon::prelude::*;
+use schedule::Pass;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::time::Instant;
 
@@ -47,6 +47,9 @@ pub struct Settings {
     pub spp: u32,
     /// Shadow rays a camera sample.
     pub rays: u32,
+    /// Camera rays for each camera sample, itself among them; none given: as many as cost next to nothing. See
+    /// [`Integrator::expected`].
+    pub camera_rays: Option<u32>,
     /// The image's seed.
     pub seed: u32,
     /// Side of a tile, pixels; at least 32 where a cache learns in blocks.
@@ -61,6 +64,13 @@ pub struct Settings {
     pub variance: bool,
     /// Seconds after which no further pass begins.
     pub time: Option<f64>,
+}
+
+impl Settings {
+    /// Camera rays for each camera sample, where they are of use.
+    pub fn camera_rays(&self) -> u32 {
+        self.camera_rays.unwrap_or((self.rays / RAYS_A_VIEW).clamp(1, MOST_VIEWS))
+    }
 }
 
 /// How a render is watched and stopped.
@@ -130,56 +140,6 @@ impl Counts {
     }
 }
 
-/// Which pixels a pass takes: one in `step` each way, but not those of the lattice of `taken` steps.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Lattice {
-    step: u32,
-    taken: u32,
-}
-
-impl Lattice {
-    const ALL: Self = Self { step: 1, taken: 0 };
-
-    /// The learning stages: each four times as many pixels as all before. The first ones know nothing, so they are few.
-    const STAGES: [Self; 4] = [
-        Self { step: 8, taken: 0 },
-        Self { step: 4, taken: 8 },
-        Self { step: 2, taken: 4 },
-        Self { step: 1, taken: 2 },
-    ];
-
-    fn takes(self, x: u32, y: u32) -> bool {
-        // Lattices lie in each other: what is 5 modulo 8 is 1 modulo 4.
-        let on = |step: u32| x % step == 5 % step && y % step == 5 % step;
-        on(self.step) && (self.taken == 0 || !on(self.taken))
-    }
-
-    /// The share of the pixels.
-    fn share(self) -> f64 {
-        let one_in = |step: u32| 1.0 / f64::from(step * step);
-        one_in(self.step) - if self.taken == 0 { 0.0 } else { one_in(self.taken) }
-    }
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Pass {
-    lattice: Lattice,
-    /// Camera samples of the sequence.
-    first: u32,
-    count: u32,
-    /// Which sequence: the learning stages share one; what follows has its own, and so has every replicate.
-    sequence: u32,
-    /// Places in the pixel go on through a replicate, for what was learned at some says nothing of the others' light:
-    /// the replicate, and what its samples have taken before this sequence.
-    replicate: u32,
-    before: u32,
-    weight: f64,
-    /// Whether the sampler's stage ends here.
-    ends_stage: bool,
-    /// Camera samples that every pixel has after this pass.
-    spp_after: u32,
-}
-
 /// A render to be run.
 #[derive(Debug, Clone, Copy)]
 pub struct Render<'a> {
@@ -197,69 +157,19 @@ pub struct Render<'a> {
     pub settings: Settings,
 }
 
-/// Camera samples of the learning stage, at most.
-const LEARNING: u32 = 8;
+/// Shadow rays beside which a further camera ray costs next to nothing.
+const RAYS_A_VIEW: u32 = 8;
 
-/// Camera samples traced together.
+/// Camera rays for each camera sample where nobody says, at most.
+const MOST_VIEWS: u32 = 4;
+
+/// Camera rays traced together.
 const CHUNK: usize = 1024;
 
 /// Shadow rays traced together.
 const BATCH: usize = 1024;
 
 impl Render<'_> {
-    /// Camera samples of a replicate: where variances are asked for, a divisor of all of them that leaves sixteen
-    /// replicates or more; else all.
-    fn replicate(&self) -> u32 {
-        let Settings { spp, variance, time, .. } = self.settings;
-        let most = if time.is_some() { LEARNING } else { spp / 16 };
-        if variance { (1..=most).rev().find(|n| spp.is_multiple_of(*n)).unwrap_or(1) } else { spp }
-    }
-
-    fn passes(&self, learns: bool) -> Vec<Pass> {
-        let spp = self.settings.spp;
-        let mut passes = Vec::new();
-        let mut done = 0;
-        if learns {
-            let count = self.replicate().min(LEARNING);
-            for lattice in Lattice::STAGES {
-                let spp_after = if lattice.step == 1 { count } else { 0 };
-                passes.push(Pass {
-                    lattice,
-                    first: 0,
-                    count,
-                    sequence: 0,
-                    replicate: 0,
-                    before: 0,
-                    weight: 1.0,
-                    ends_stage: true,
-                    spp_after,
-                });
-            }
-            done = count;
-        }
-        let each = self.replicate();
-        let (mut first, mut sequence) = (done, u32::from(learns));
-        while done < spp {
-            if done % each == 0 && done > first {
-                (first, sequence) = (done, sequence + 1);
-            }
-            let count = (spp - done).min(4).min(each - done % each);
-            passes.push(Pass {
-                lattice: Lattice::ALL,
-                first: done - first,
-                count,
-                sequence,
-                replicate: done / each,
-                before: first % each,
-                weight: 1.0,
-                ends_stage: false,
-                spp_after: done + count,
-            });
-            done += count;
-        }
-        passes
-    }
-
     /// Renders. The sampler learns on the way, if it does; it must be fresh.
     pub fn run(&self, sampler: &mut dyn DomeSampler, watch: Watch<'_>) -> Picture {
         self.run_from(self.start(), sampler, watch, &mut |_, _| ())
@@ -286,12 +196,12 @@ impl Render<'_> {
         keep: &mut dyn FnMut(&State, &dyn DomeSampler),
     ) -> Picture {
         let (start, before) = (Instant::now(), state.seconds);
-        let passes = self.passes(sampler.learns());
-        let each = self.replicate();
+        let passes = schedule::passes(&self.settings, sampler.learns());
+        let each = schedule::replicate(&self.settings);
         let tiles = self.tiles(sampler.tile_multiple());
-        let work: f64 = passes.iter().map(|pass| self.work(pass)).sum();
+        let work: f64 = passes.iter().map(Pass::work).sum();
         let (past, ahead) = passes.split_at(passes.len().min(state.passes as usize));
-        let mut done: f64 = past.iter().map(|pass| self.work(pass)).sum();
+        let mut done: f64 = past.iter().map(Pass::work).sum();
         for pass in ahead {
             state.seconds = before + start.elapsed().as_secs_f64();
             // Without a first sample everywhere there is no picture: the learning stages always finish.
@@ -312,7 +222,7 @@ impl Render<'_> {
                 .map_init(Scratch::default, |scratch, tile| {
                     let result = self.tile(&world, pass, *tile, scratch);
                     let share = (finished.fetch_add(1, Relaxed) + 1) as f64 / tiles.len() as f64;
-                    (watch.progress)((done + share * self.work(pass)) / work);
+                    (watch.progress)((done + share * pass.work()) / work);
                     result
                 })
                 .collect();
@@ -323,7 +233,7 @@ impl Render<'_> {
             if pass.ends_stage {
                 sampler.next_stage();
             }
-            done += self.work(pass);
+            done += pass.work();
             state.passes += 1;
             state.picture.spp = state.picture.spp.max(pass.spp_after);
             if self.settings.variance && pass.spp_after > 0 && pass.spp_after % each == 0 {
@@ -334,8 +244,9 @@ impl Render<'_> {
         state.picture
     }
 
-    fn work(&self, pass: &Pass) -> f64 {
-        pass.lattice.share() * f64::from(pass.count)
+    /// Camera rays for each camera sample.
+    fn views(&self, sampler: &dyn DomeSampler) -> u32 {
+        if self.integrator.expects(sampler) { self.settings.camera_rays() } else { 1 }
     }
 
     /// The tiles of the crop window, aligned to the full image so that crops cut the same ones.
@@ -356,6 +267,8 @@ impl Render<'_> {
     fn tile(&self, world: &World<'_>, pass: &Pass, [x, y, width, height]: [u32; 4], s: &mut Scratch) -> (Film, Counts) {
         let mut film = Film::new([x, y], [width, height], self.settings.aovs);
         let mut counts = Counts::default();
+        let views = self.views(world.sampler);
+        let each = schedule::replicate(&self.settings);
         // Row by row, all samples of a pixel together: the order in which the cache counts is the order of pixels.
         s.cameras.clear();
         for row in y..y + height {
@@ -363,50 +276,59 @@ impl Render<'_> {
                 if !pass.lattice.takes(column, row) {
                     continue;
                 }
+                let seed = |of, purpose| random::hash(&[self.settings.seed, column, row, of, purpose]);
+                let (places, numbers) = (seed(pass.replicate, 0), seed(pass.sequence, 1));
                 for sample in pass.first..pass.first + pass.count {
-                    s.cameras.push(([column, row], sample));
-                    if s.cameras.len() == CHUNK {
-                        self.chunk(world, pass, s, &mut film, &mut counts);
+                    let numbers = Numbers { seed: numbers, sample };
+                    // Shaded samples have the beginning of the sequence, one stratified set; all together are another.
+                    let at = pass.before + sample;
+                    for view in 0..views {
+                        let place = if view == 0 { at } else { each + at * (views - 1) + view - 1 };
+                        let place = random::sobol2(place, places).map(random::unit);
+                        s.cameras.push(CameraSample { pixel: [column, row], place, numbers, shaded: view == 0 });
+                    }
+                    if s.cameras.len() + views as usize > CHUNK {
+                        self.chunk(world, s, &mut film, &mut counts);
                     }
                 }
             }
         }
-        self.chunk(world, pass, s, &mut film, &mut counts);
+        self.chunk(world, s, &mut film, &mut counts);
         world.sampler.tally(&mut s.draws);
         (film, counts)
     }
 
-    fn chunk(&self, world: &World<'_>, pass: &Pass, s: &mut Scratch, film: &mut Film, counts: &mut Counts) {
+    fn chunk(&self, world: &World<'_>, s: &mut Scratch, film: &mut Film, counts: &mut Counts) {
         s.rays.clear();
         s.samples.clear();
-        for &([x, y], sample) in &s.cameras {
-            let seed = random::hash(&[self.settings.seed, x, y, pass.replicate, 0]);
-            let [u, v] = random::sobol2(pass.before + sample, seed).map(random::unit);
+        for &CameraSample { pixel: [x, y], place: [u, v], .. } in &s.cameras {
             let filter = self.settings.filter;
             s.rays.push(self.view.ray(x as f32 + 0.5 + filter.offset(u), y as f32 + 0.5 + filter.offset(v)));
         }
         counts.camera_rays += s.rays.len() as u64;
         nearest(self.scene, self.accel, &s.rays, &mut s.hits, &mut s.visibility);
+        let views = self.views(world.sampler) as f32;
         for i in 0..s.rays.len() {
-            let ([x, y], sample) = s.cameras[i];
+            let CameraSample { pixel, numbers, shaded, .. } = s.cameras[i];
             let (ray, hit) = (&s.rays[i], &s.hits[i]);
             if !hit.is_hit() {
                 s.samples.push(self.miss(ray));
                 continue;
             }
-            let hit = &self.scene.refined(ray, hit);
+            let hit = &if shaded { self.scene.refined(ray, hit) } else { *hit };
             let surface = self.scene.surface(ray, hit);
-            let point = Shading {
-                pixel: [x, y],
-                distance: hit.t,
-                wo: -ray.dir,
-                surface: &surface,
-                numbers: Numbers { seed: random::hash(&[self.settings.seed, x, y, pass.sequence, 1]), sample },
-                rays: self.settings.rays,
-            };
-            s.queue.sample = i as u32;
-            let radiance = self.integrator.shade(world, &point, &mut s.draws, &mut s.queue);
-            counts.rays_asked += u64::from(self.settings.rays);
+            let point =
+                Shading { pixel, distance: hit.t, wo: -ray.dir, surface: &surface, numbers, rays: self.settings.rays };
+            let mut radiance = Vec3::ZERO;
+            if views > 1.0 {
+                radiance = self.integrator.expected(world, &point);
+            }
+            if shaded {
+                s.queue.sample = i as u32;
+                let known = self.integrator.shade(world, &point, &mut s.draws, &mut s.queue);
+                radiance = views * known - (views - 1.0) * radiance;
+                counts.rays_asked += u64::from(self.settings.rays);
+            }
             let aovs = self.settings.aovs.then_some(AovSample {
                 albedo: surface.base_color,
                 normal: surface.ns,
@@ -416,16 +338,16 @@ impl Render<'_> {
             });
             s.samples.push(Sample { radiance, alpha: 1.0, aovs });
             if s.queue.rays.len() >= BATCH {
-                flush(world, s, counts);
+                flush(world, views, s, counts);
             }
         }
-        flush(world, s, counts);
-        for (&(pixel, sample), value) in s.cameras.iter().zip(&s.samples) {
+        flush(world, views, s, counts);
+        for (&CameraSample { pixel, numbers, .. }, value) in s.cameras.iter().zip(&s.samples) {
             if value.radiance.is_finite() {
-                film.add(film.index(pixel), value, pass.weight);
+                film.add(film.index(pixel), value);
             } else {
                 counts.dropped += 1;
-                counts.dropped_at.get_or_insert([pixel[0], pixel[1], sample]);
+                counts.dropped_at.get_or_insert([pixel[0], pixel[1], numbers.sample]);
             }
         }
         s.cameras.clear();
@@ -441,8 +363,8 @@ impl Render<'_> {
     }
 }
 
-/// Traces the queue and adds what arrives to its samples.
-fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
+/// Traces the queue and adds what arrives to its samples, each of which stands for `views`.
+fn flush(world: &World<'_>, views: f32, s: &mut Scratch, counts: &mut Counts) {
     let queue = &mut s.queue;
     counts.shadow_rays += queue.rays.len() as u64;
     visibility::occluded(world.scene, world.accel, &queue.rays, &mut s.occluded, &mut s.visibility);
@@ -450,7 +372,7 @@ fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
         let sample = &mut s.samples[queue.samples[i] as usize];
         let arrives = s.occluded[i] == 0;
         if arrives {
-            sample.radiance += queue.contributions[i];
+            sample.radiance += views * queue.contributions[i];
             counts.max_weight = counts.max_weight.max(queue.contributions[i].max_element());
         }
         if let Some(aovs) = &mut sample.aovs {
@@ -464,10 +386,22 @@ fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
     queue.clear();
 }
 
+/// A camera ray to be traced.
+#[derive(Debug, Clone, Copy)]
+struct CameraSample {
+    pixel: [u32; 2],
+    /// Where in the pixel, in [0, 1)², before the filter.
+    place: [f32; 2],
+    /// For its shadow rays.
+    numbers: Numbers,
+    /// Whether it traces shadow rays.
+    shaded: bool,
+}
+
 /// A thread's memory, used again from tile to tile.
 #[derive(Debug, Default)]
 struct Scratch {
-    cameras: Vec<([u32; 2], u32)>,
+    cameras: Vec<CameraSample>,
     rays: Vec<Ray>,
     hits: Vec<Hit>,
     samples: Vec<Sample>,

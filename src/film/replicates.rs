@@ -20,7 +20,7 @@ pub struct Replicates {
 #[derive(Debug, Clone, Copy, Default, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct Sums {
-    /// What the film held when the last replicate ended: Σ weight · colour and Σ weight.
+    /// What the film held when the last replicate ended: Σ colour and camera samples.
     pub before: [f64; 4],
     /// Σ of the replicates' means.
     pub sum: [f64; 3],
@@ -38,11 +38,11 @@ impl Replicates {
     pub(super) fn close(&mut self, film: &[Pixel]) {
         self.count += 1;
         for (own, pixel) in self.pixels.iter_mut().zip(film) {
-            let now = [pixel.sum[0], pixel.sum[1], pixel.sum[2], pixel.weight];
+            let now = [pixel.sum[0], pixel.sum[1], pixel.sum[2], pixel.samples];
             // All samples of a replicate may have been dropped as not finite.
-            let weight = (now[3] - own.before[3]).max(f64::MIN_POSITIVE);
+            let samples = (now[3] - own.before[3]).max(f64::MIN_POSITIVE);
             for (k, (now, before)) in now.iter().zip(own.before).take(3).enumerate() {
-                let mean = (now - before) / weight;
+                let mean = (now - before) / samples;
                 own.sum[k] += mean;
                 own.squares[k] += mean * mean;
             }

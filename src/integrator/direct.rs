@@ -13,7 +13,7 @@ use crate::integrator::ao::cosine_direction;
 use crate::random;
 use crate::registry::Plugin;
 use crate::sampler::shadow_cache::NO_TARGET;
-use crate::sampler::{Draws, Numbers, Point};
+use crate::sampler::{DomeSampler, Draws, Numbers, Point};
 use crate::scene::offset_origin;
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
@@ -54,6 +54,27 @@ impl Integrator for Direct {
         };
         surface.emission + shade.dome(draws, queue) + shade.lobe(draws, queue)
     }
+
+    fn expects(&self, sampler: &dyn DomeSampler) -> bool {
+        sampler.expects()
+    }
+
+    fn expected(&self, world: &World<'_>, point: &Shading<'_>) -> Vec3 {
+        let surface = point.surface;
+        if surface.unlit {
+            return surface.base_color;
+        }
+        let bsdf = Bsdf::new(surface);
+        // A lobe shows about what the normal's side shines with.
+        let reflects = bsdf.typical_diffuse(point.wo, surface.ns) + bsdf.specular.map_or(Vec3::ZERO, |s| s.f0);
+        surface.emission + reflects * FRAC_1_PI * world.sampler.expected(&sampled(point, bsdf))
+    }
+}
+
+/// The point as the sampler sees it.
+fn sampled(point: &Shading<'_>, bsdf: Bsdf) -> Point {
+    let &Shading { pixel, distance, wo, surface, numbers, .. } = point;
+    Point { pixel, distance, ng: surface.ng, ns: surface.ns, wo, bsdf, numbers }
 }
 
 /// How many directions come from the dome and how many from the specular lobe.
@@ -133,15 +154,7 @@ impl Shade<'_> {
         }
         let (surface, wo) = (self.point.surface, self.point.wo);
         let (ns, ng) = (surface.ns, surface.ng);
-        let point = Point {
-            pixel: self.point.pixel,
-            distance: self.point.distance,
-            ng,
-            ns,
-            wo,
-            bsdf: self.bsdf,
-            numbers: self.point.numbers,
-        };
+        let point = sampled(self.point, self.bsdf);
         self.world.sampler.draw(&point, self.from_dome, draws);
         let n = draws.dir.len() as f32;
         let k = self.bsdf.typical_diffuse(wo, ns) * FRAC_1_PI;
@@ -192,15 +205,7 @@ impl Shade<'_> {
         let numbers = Numbers { seed: random::combine(self.point.numbers.seed, 0x10be), ..self.point.numbers };
         let partner = self.world.sampler.needs_partner();
         let from_dome = if self.from_dome == 0 || self.narrow() { 0.0 } else { draws.dir.len() as f32 };
-        let point = Point {
-            pixel: self.point.pixel,
-            distance: self.point.distance,
-            ng: surface.ng,
-            ns: surface.ns,
-            wo: self.point.wo,
-            bsdf: self.bsdf,
-            numbers: self.point.numbers,
-        };
+        let point = sampled(self.point, self.bsdf);
         for i in 0..self.from_lobe {
             let choice = (i as f32 + random::unit(numbers.word(i, 2))) / self.from_lobe as f32;
             let u = numbers.square(i, self.from_lobe);

@@ -115,6 +115,17 @@ pub trait Integrator: Debug + Send + Sync {
     /// rest. `draws` is scratch.
     fn shade(&self, world: &World<'_>, point: &Shading<'_>, draws: &mut Draws, queue: &mut Queue) -> Vec3;
 
+    /// Whether [`Self::expected`] knows anything, going by what `sampler` has learned so far.
+    fn expects(&self, _sampler: &dyn DomeSampler) -> bool {
+        false
+    }
+
+    /// What a point is taken for where no shadow ray is traced: any function of the point and of what was learned before
+    /// this stage, the nearer to its radiance the better.
+    fn expected(&self, _world: &World<'_>, _point: &Shading<'_>) -> Vec3 {
+        Vec3::ZERO
+    }
+
     /// Whether rays that miss the scene show the dome.
     fn shows_dome(&self) -> bool {
         true

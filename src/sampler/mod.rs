@@ -161,6 +161,17 @@ pub trait DomeSampler: Debug + Send + Sync {
     /// The density with which [`Self::draw`] drew `dir`, which lies in `texel`, for the point that `drawn` holds.
     fn pdf(&self, point: &Point, drawn: &Draws, dir: Vec3, texel: u32) -> f32;
 
+    /// Whether [`Self::expected`] has anything to go by yet.
+    fn expects(&self) -> bool {
+        false
+    }
+
+    /// About the irradiance at a point, W·m⁻² a channel, for a fraction of what a draw costs: a function of the point and
+    /// of what was learned before this stage.
+    fn expected(&self, _point: &Point) -> Vec3 {
+        Vec3::ZERO
+    }
+
     /// Whether later stages profit from what earlier ones saw.
     fn learns(&self) -> bool {
         false

@@ -30,6 +30,12 @@ const NEIGHBOURS: usize = 8;
 /// Records this many steps of distance apart still speak of the same surface.
 const NEAR: u32 = 2;
 
+/// What a slot's expected irradiance takes beside it ([`super::tessellated`]).
+const EXPECTED_BYTES: usize = 27 * 4;
+
+/// The axes of records' normals, as keys count them.
+pub const AXES: [Vec3; 6] = [Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z];
+
 /// The target of a ray that nothing is learned from.
 pub const NO_TARGET: u32 = u32::MAX;
 
@@ -65,7 +71,7 @@ impl ShadowCache {
     /// The block's side follows from the budget; at least `least` pixels.
     pub fn new(size: [u32; 2], groups: usize, budget: u64, least: u32) -> Self {
         debug_assert!(groups.is_multiple_of(GROUP_LANES));
-        let bytes_a_block = (SLOTS * (groups * 3 + 8)) as u64;
+        let bytes_a_block = (SLOTS * (groups * 3 + 8 + EXPECTED_BYTES)) as u64;
         let mut block = least.max(1);
         let blocks_of = |block: u32| size.map(|side| side.div_ceil(block).max(1));
         while blocks_of(block).map(u64::from).iter().product::<u64>() * bytes_a_block > budget && block < 4096 {
@@ -86,20 +92,28 @@ impl ShadowCache {
         }
     }
 
+    /// The dominant axis of a normal, an index of [`AXES`].
+    #[inline]
+    pub fn axis(normal: Vec3) -> usize {
+        let a = normal.abs();
+        let (axis, along) = if a.x >= a.y && a.x >= a.z {
+            (0, normal.x)
+        } else if a.y >= a.z {
+            (1, normal.y)
+        } else {
+            (2, normal.z)
+        };
+        2 * axis + usize::from(along < 0.0)
+    }
+
     /// The key of a surface: the normal's dominant axis and the distance's octave-fraction. Never 0.
     #[inline]
     pub fn key(normal: Vec3, distance: f32, jitter: f32) -> u32 {
-        let a = normal.abs();
-        let (axis, negative) = if a.x >= a.y && a.x >= a.z {
-            (0, normal.x < 0.0)
-        } else if a.y >= a.z {
-            (1, normal.y < 0.0)
-        } else {
-            (2, normal.z < 0.0)
-        };
-        // Four steps an octave.
-        let step = (distance.max(1e-30).log2() * 4.0 + jitter + 1024.0) as u32;
-        1 + axis * 2 + u32::from(negative) + (step << 3)
+        // Four steps an octave: the exponent and the mantissa's first two bits, moved by the jitter.
+        const STEP: u32 = 21;
+        let bits = distance.max(1e-30).to_bits() as i32 + (jitter * (1 << STEP) as f32) as i32;
+        let step = bits as u32 >> STEP;
+        1 + Self::axis(normal) as u32 + (step << 3)
     }
 
     fn block_of(&self, x: f32, y: f32) -> usize {
@@ -154,6 +168,17 @@ impl ShadowCache {
             value = (value >> 9 << 8) | ((value & 0xff) >> 1);
         }
         counter.store(value + 0x100 + u16::from(occluded == 0), Relaxed);
+    }
+
+    /// How many slots there are, empty ones among them.
+    pub fn slots(&self) -> usize {
+        self.frozen.len()
+    }
+
+    /// A frozen record and the axis of its normals ([`AXES`]).
+    pub fn record(&self, slot: usize) -> Option<(usize, &[u8])> {
+        let axis = (self.frozen[slot] & 7).checked_sub(1)?;
+        Some((axis as usize, &self.visibility[slot * self.groups..(slot + 1) * self.groups]))
     }
 
     /// Counts look-ups for the statistics.
@@ -240,7 +265,7 @@ impl ShadowCache {
     /// Records, bytes, hit rate.
     pub fn stats(&self) -> (u64, u64, f64) {
         let records = self.frozen.iter().filter(|&&key| key != 0).count() as u64;
-        let bytes = records * (self.groups as u64 * 3) + self.keys.len() as u64 * 8;
+        let bytes = records * (self.groups as u64 * 3) + (self.keys.len() * (8 + EXPECTED_BYTES)) as u64;
         let lookups = self.lookups.load(Relaxed).max(1);
         (records, bytes, self.hits.load(Relaxed) as f64 / lookups as f64)
     }

@@ -16,6 +16,7 @@
 //! there is none (no record yet, `cache=off`) and at the horizon.
 
 mod draw;
+mod expected;
 mod irradiance;
 mod normals;
 mod pages;
@@ -36,6 +37,7 @@ use crate::random;
 use crate::registry::{Kind, Opt, Params, Plugin};
 use crate::simd::dispatch;
 use draw::{BLOCK, Descend, LeafCounts, MOST_AT_HORIZON};
+use expected::Expected;
 use glam::Vec3;
 use irradiance::{Irradiance, Sweep};
 use normals::Aim;
@@ -77,6 +79,8 @@ pub struct Tessellated {
     cache: Option<ShadowCache>,
     /// The groups as each cell of normals sees them; empty without a cache.
     table: Vec<Irradiance>,
+    /// What surfaces are expected to receive; empty without a cache.
+    expected: Expected,
     /// Whether a stage has ended, so that the cache has something to say.
     warm: bool,
     /// Never the same for two samplers or two stages: what was made for another is made anew.
@@ -92,6 +96,14 @@ fn irradiances(triangles: &Preconvolution) -> Vec<Irradiance> {
         irradiance
     };
     (0..normals::CELLS).into_par_iter().map(make).collect()
+}
+
+/// The record that a point reads. One look-up's jitter a pixel: its samples then share their weights.
+fn read<'a>(cache: &'a ShadowCache, point: &Point) -> Option<Record<'a>> {
+    let jitter = random::combine(point.numbers.seed, 0x5ad0);
+    let [a, b, c] = [jitter, random::mix(jitter), random::mix(jitter ^ 0x9e37_79b9)].map(random::unit);
+    let key = ShadowCache::key(point.ng, point.distance, c - 0.5);
+    cache.find(point.pixel, key, [a - 0.5, b - 0.5])
 }
 
 /// A number that was not given out before; never 0.
@@ -128,9 +140,11 @@ impl Tessellated {
         let cache = (params.switch("cache") && (1e-30..1e36).contains(&brightest))
             .then(|| ShadowCache::new(setup.size, preconvolved.groups.x.len(), budget, least));
         let table = if cache.is_some() { irradiances(&preconvolved) } else { Vec::new() };
+        let expected = if cache.is_some() { Expected::new(&preconvolved) } else { Expected::default() };
         let prepare_s = start.elapsed().as_secs_f64();
         let version = next_version();
-        Ok(Self { cells, triangles: preconvolved, texels, places, cache, table, warm: false, version, prepare_s })
+        let triangles = preconvolved;
+        Ok(Self { cells, triangles, texels, places, cache, table, expected, warm: false, version, prepare_s })
     }
 
     /// The record a point reads, and the target its rays are counted towards.
@@ -140,14 +154,19 @@ impl Tessellated {
         if !self.warm {
             return (None, target);
         }
-        // One look-up's jitter a pixel: its samples then share their weights.
-        let jitter = random::combine(point.numbers.seed, 0x5ad0);
-        let [a, b, c] = [jitter, random::mix(jitter), random::mix(jitter ^ 0x9e37_79b9)].map(random::unit);
-        let key = ShadowCache::key(point.ng, point.distance, c - 0.5);
-        let record = cache.find(point.pixel, key, [a - 0.5, b - 0.5]);
+        let record = read(cache, point);
         out.lookups += 1;
         out.found += u64::from(record.is_some());
         (record, target)
+    }
+
+    /// Goes by what the cache has counted from now on.
+    fn warm_up(&mut self) {
+        if let Some(cache) = &self.cache {
+            self.expected.learn(cache);
+            self.warm = true;
+            self.version = next_version();
+        }
     }
 
     /// Writes out a block that has come down.
@@ -246,6 +265,15 @@ impl DomeSampler for Tessellated {
         self.cache.is_some()
     }
 
+    fn expects(&self) -> bool {
+        self.warm
+    }
+
+    fn expected(&self, point: &Point) -> Vec3 {
+        let record = self.cache.as_ref().and_then(|cache| read(cache, point));
+        self.expected.irradiance(record.map(|record| record.slot), ShadowCache::axis(point.ng), point.ns)
+    }
+
     fn tile_multiple(&self) -> u32 {
         self.cache.as_ref().map_or(1, ShadowCache::block)
     }
@@ -263,8 +291,7 @@ impl DomeSampler for Tessellated {
     fn next_stage(&mut self) {
         if let Some(cache) = &mut self.cache {
             cache.freeze();
-            self.warm = true;
-            self.version = next_version();
+            self.warm_up();
         }
     }
 
@@ -278,9 +305,11 @@ impl DomeSampler for Tessellated {
         let Some(cache) = &mut self.cache else { return Ok(()) };
         let mut warm = [0];
         input.read_exact(&mut warm)?;
-        self.warm = warm != [0];
-        self.version = next_version();
-        cache.restore(input)
+        cache.restore(input)?;
+        if warm != [0] {
+            self.warm_up();
+        }
+        Ok(())
     }
 
     fn tally(&self, draws: &mut Draws) {

@@ -63,6 +63,7 @@ impl Shot {
             crop: self.crop.unwrap_or([0, 0, width, height]),
             spp: self.spp,
             rays: self.rays,
+            camera_rays: None,
             seed: self.seed,
             tile: 32,
             filter: Filter::Box,

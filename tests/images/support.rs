@@ -76,6 +76,7 @@ impl Stage {
             crop: [0, 0, side, side],
             spp,
             rays,
+            camera_rays: None,
             seed: 1,
             tile: 32,
             filter: Filter::Box,

@@ -42,6 +42,7 @@ fn a_render_goes_on_from_any_pass_as_if_it_had_never_stopped() {
         crop: [3, 5, 50, 40],
         spp: 14,
         rays: 4,
+        camera_rays: Some(3),
         seed: 7,
         tile: 32,
         filter: Filter::BlackmanHarris,

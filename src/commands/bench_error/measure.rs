@@ -53,6 +53,7 @@ impl Bench {
             crop: [0, 0, width, height],
             spp,
             rays,
+            camera_rays: None,
             seed,
             tile: 32,
             filter: Filter::Box,

@@ -39,6 +39,10 @@ pub(crate) struct Args {
     /// Shadow rays a camera sample
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = whole::<u32>(1..=1 << 16), allow_hyphen_values = true, help_heading = "Image")]
     rays: u32,
+    /// Camera rays for each camera sample: edges and textures inside a pixel are seen by all of them (default: an eighth
+    /// of --rays, from 1 to 4; 1 where the sampler learns nothing)
+    #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=256), allow_hyphen_values = true, help_heading = "Image")]
+    camera_rays: Option<u32>,
     /// Begin no pass after so many seconds of rendering
     #[arg(long, value_name = "SECONDS", value_parser = positive, allow_hyphen_values = true, help_heading = "Image")]
     time: Option<f64>,
@@ -120,6 +124,7 @@ impl Args {
             crop,
             spp: if self.time.is_some() { 1 << 20 } else { self.spp },
             rays: self.rays,
+            camera_rays: self.camera_rays,
             seed: self.seed,
             tile: self.tile,
             filter: if self.filter == "box" { Filter::Box } else { Filter::BlackmanHarris },

@@ -119,6 +119,7 @@ impl Shot<'_> {
             crop,
             spp: self.spp,
             rays: self.rays,
+            camera_rays: None,
             seed,
             tile: self.tile,
             filter: Filter::Box,

@@ -1,0 +1,118 @@
+//! Which camera samples are taken when.
+//!
+//! A pass takes some camera samples of some pixels. Without a learning sampler passes only cut the work up. With one,
+//! the first camera samples come in four *stages*, each a lattice of pixels: every 64th pixel, every 16th, every 4th, the
+//! rest; after each stage the sampler goes by what was seen so far. A pixel's own samples therefore never depend on
+//! what they saw themselves, all of them form one stratified set, and the image is unbiased in the strict sense. Later
+//! samples are one more stage with numbers of their own. Where variances are asked for, every replicate has numbers of
+//! its own ([`crate::film::replicates`]).
+
+use super::Settings;
+
+/// Which pixels a pass takes: one in `step` each way, but not those of the lattice of `taken` steps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Lattice {
+    step: u32,
+    taken: u32,
+}
+
+impl Lattice {
+    const ALL: Self = Self { step: 1, taken: 0 };
+
+    /// The learning stages: each four times as many pixels as all before. The first ones know nothing, so they are few.
+    const STAGES: [Self; 4] = [
+        Self { step: 8, taken: 0 },
+        Self { step: 4, taken: 8 },
+        Self { step: 2, taken: 4 },
+        Self { step: 1, taken: 2 },
+    ];
+
+    pub(super) fn takes(self, x: u32, y: u32) -> bool {
+        // Lattices lie in each other: what is 5 modulo 8 is 1 modulo 4.
+        let on = |step: u32| x % step == 5 % step && y % step == 5 % step;
+        on(self.step) && (self.taken == 0 || !on(self.taken))
+    }
+
+    /// The share of the pixels.
+    fn share(self) -> f64 {
+        let one_in = |step: u32| 1.0 / f64::from(step * step);
+        one_in(self.step) - if self.taken == 0 { 0.0 } else { one_in(self.taken) }
+    }
+}
+
+/// Some camera samples of some pixels.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pass {
+    pub(super) lattice: Lattice,
+    /// Camera samples of the sequence.
+    pub(super) first: u32,
+    pub(super) count: u32,
+    /// Which sequence: the learning stages share one; what follows has its own, and so has every replicate.
+    pub(super) sequence: u32,
+    /// Places in the pixel go on through a replicate, for what was learned at some says nothing of the others' light:
+    /// the replicate, and what its samples have taken before this sequence.
+    pub(super) replicate: u32,
+    pub(super) before: u32,
+    /// Whether the sampler's stage ends here.
+    pub(super) ends_stage: bool,
+    /// Camera samples that every pixel has after this pass.
+    pub(super) spp_after: u32,
+}
+
+impl Pass {
+    /// Camera samples a pixel of the image, in the mean.
+    pub(super) fn work(&self) -> f64 {
+        self.lattice.share() * f64::from(self.count)
+    }
+}
+
+/// Camera samples of the learning stages, at most.
+const LEARNING: u32 = 8;
+
+/// Camera samples of a replicate: where variances are asked for, a divisor of all of them that leaves sixteen replicates
+/// or more; else all.
+pub(super) fn replicate(settings: &Settings) -> u32 {
+    let &Settings { spp, variance, time, .. } = settings;
+    let most = if time.is_some() { LEARNING } else { spp / 16 };
+    if variance { (1..=most).rev().find(|n| spp.is_multiple_of(*n)).unwrap_or(1) } else { spp }
+}
+
+/// All passes of a render, for a sampler that `learns` or not.
+pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
+    let (spp, each) = (settings.spp, replicate(settings));
+    let mut passes = Vec::new();
+    let mut done = 0;
+    if learns {
+        let count = each.min(LEARNING);
+        passes.extend(Lattice::STAGES.map(|lattice| Pass {
+            lattice,
+            first: 0,
+            count,
+            sequence: 0,
+            replicate: 0,
+            before: 0,
+            ends_stage: true,
+            spp_after: if lattice.step == 1 { count } else { 0 },
+        }));
+        done = count;
+    }
+    let (mut first, mut sequence) = (done, u32::from(learns));
+    while done < spp {
+        if done % each == 0 && done > first {
+            (first, sequence) = (done, sequence + 1);
+        }
+        let count = (spp - done).min(4).min(each - done % each);
+        passes.push(Pass {
+            lattice: Lattice::ALL,
+            first: done - first,
+            count,
+            sequence,
+            replicate: done / each,
+            before: first % each,
+            ends_stage: false,
+            spp_after: done + count,
+        });
+        done += count;
+    }
+    passes
+}
