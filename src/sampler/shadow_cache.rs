@@ -21,6 +21,9 @@ const SLOTS: usize = 4;
 /// Counts are halved when they reach this many rays: what was seen long ago fades.
 const MOST: u16 = 128;
 
+/// Blocks each way of a region, whose records of one kind are each other's prior.
+const REGION: usize = 4;
+
 /// The weight of the prior, in rays.
 const PRIOR: f32 = 6.0;
 
@@ -55,6 +58,74 @@ pub struct ShadowCache {
     frozen: Vec<u32>,
     lookups: AtomicU64,
     hits: AtomicU64,
+}
+
+/// What the records of one kind in a region of blocks have seen together: what each of them is taken for before it has seen
+/// much itself.
+struct Region {
+    /// Rays that arrived, rays, by group.
+    counts: Vec<(f32, f32)>,
+    /// m by group.
+    visibility: Vec<f32>,
+}
+
+/// The mean of a Beta posterior for `seen` of `rays`.
+fn posterior((seen, rays): (f32, f32), prior: f32) -> f32 {
+    (seen + PRIOR * prior) / (rays + PRIOR)
+}
+
+fn read(count: &AtomicU16) -> (f32, f32) {
+    let value = count.load(Relaxed);
+    (f32::from(value & 0xff), f32::from(value >> 8))
+}
+
+impl Region {
+    fn new(groups: usize) -> Self {
+        Self { counts: vec![(0.0, 0.0); groups], visibility: vec![0.0; groups] }
+    }
+
+    /// Takes the counts of all its records.
+    fn sum_up<'a>(&mut self, records: impl Iterator<Item = &'a [AtomicU16]>) {
+        let Self { counts, visibility } = self;
+        counts.fill((0.0, 0.0));
+        for record in records {
+            for (sum, count) in counts.iter_mut().zip(record) {
+                let (seen, rays) = read(count);
+                *sum = (sum.0 + seen, sum.1 + rays);
+            }
+        }
+        let add = |a: (f32, f32), b: (f32, f32)| (a.0 + b.0, a.1 + b.1);
+        // A lane is a piece of the curve: neighbours on the dome share what is known of them.
+        let mut lanes = [(0.0, 0.0); GROUP_LANES];
+        for (g, &count) in counts.iter().enumerate() {
+            lanes[g % GROUP_LANES] = add(lanes[g % GROUP_LANES], count);
+        }
+        let whole = posterior(lanes.iter().fold((0.0, 0.0), |a, &b| add(a, b)), 0.5);
+        let lanes = lanes.map(|lane| posterior(lane, whole));
+        let rows = counts.len() / GROUP_LANES;
+        for (lane, &known) in lanes.iter().enumerate() {
+            for first in (0..rows).step_by(NEIGHBOURS) {
+                let near = first..(first + NEIGHBOURS).min(rows);
+                let near = near.map(|row| row * GROUP_LANES + lane);
+                let known = posterior(near.clone().map(|g| counts[g]).fold((0.0, 0.0), add), known);
+                for g in near {
+                    visibility[g] = posterior(counts[g], known);
+                }
+            }
+        }
+    }
+
+    /// What a record is taken for that has seen `record`.
+    fn refine(&self, record: &[AtomicU16], m: &mut [u8]) {
+        if record.iter().all(|count| read(count).0 == 0.0) {
+            // No light at all: as far as anyone knows it is dark here, and the estimate exactly so.
+            m.fill(0);
+            return;
+        }
+        for ((m, count), &known) in m.iter_mut().zip(record).zip(&self.visibility) {
+            *m = (posterior(read(count), known) * 255.0 + 0.5) as u8;
+        }
+    }
 }
 
 /// A record that was found.
@@ -189,42 +260,33 @@ impl ShadowCache {
 
     /// Turns what was counted into what is looked up.
     pub fn freeze(&mut self) {
-        let Self { keys, counts, visibility, frozen, groups, .. } = self;
+        let Self { keys, counts, visibility, frozen, groups, blocks, .. } = self;
         let groups = *groups;
         for (frozen, key) in frozen.iter_mut().zip(keys.iter()) {
             *frozen = key.load(Relaxed);
         }
-        let frozen = &*frozen;
-        visibility.par_chunks_mut(groups).enumerate().filter(|(slot, _)| frozen[*slot] != 0).for_each(|(slot, m)| {
-            let counts = &counts[slot * groups..(slot + 1) * groups];
-            let read = |g: usize| {
-                let value = counts[g].load(Relaxed);
-                (f32::from(value & 0xff), f32::from(value >> 8))
-            };
-            let posterior = |(seen, rays): (f32, f32), prior: f32| (seen + PRIOR * prior) / (rays + PRIOR);
-            if (0..groups).all(|g| read(g).0 == 0.0) {
-                // No light at all: as far as anyone knows it is dark here, and the estimate exactly so.
-                m.fill(0);
-                return;
-            }
-            // A lane is a piece of the curve: neighbours on the dome share what is known of them.
-            let mut lanes = [(0.0, 0.0); GROUP_LANES];
-            for g in 0..groups {
-                let (seen, rays) = read(g);
-                let lane = &mut lanes[g % GROUP_LANES];
-                *lane = (lane.0 + seen, lane.1 + rays);
-            }
-            let whole = posterior(lanes.iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1)), 0.5);
-            let lanes = lanes.map(|lane| posterior(lane, whole));
-            let rows = groups / GROUP_LANES;
-            for (lane, &known) in lanes.iter().enumerate() {
-                for first in (0..rows).step_by(NEIGHBOURS) {
-                    let near = first..(first + NEIGHBOURS).min(rows);
-                    let near = near.map(|row| row * GROUP_LANES + lane);
-                    let sum = near.clone().map(read).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
-                    let known = posterior(sum, known);
-                    for g in near {
-                        m[g] = (posterior(read(g), known) * 255.0 + 0.5) as u8;
+        let (frozen, counts) = (&*frozen, &*counts);
+        // Rows of blocks, so that regions are pieces of them side by side.
+        let row = blocks[0] as usize * SLOTS;
+        let rows = row * REGION;
+        visibility.par_chunks_mut(rows * groups).enumerate().for_each(|(y, visibility)| {
+            let first = y * rows;
+            let count = visibility.len() / groups;
+            let mut region = Region::new(groups);
+            for x in (0..row).step_by(REGION * SLOTS) {
+                let columns = x..(x + REGION * SLOTS).min(row);
+                let slots = (0..count).step_by(row).flat_map(|line| columns.clone().map(move |slot| line + slot));
+                let held: Vec<usize> = slots.filter(|slot| frozen[first + slot] != 0).collect();
+                let of = |slot: usize| &counts[(first + slot) * groups..(first + slot + 1) * groups];
+                for (i, &slot) in held.iter().enumerate() {
+                    let key = frozen[first + slot];
+                    if held[..i].iter().any(|&before| frozen[first + before] == key) {
+                        continue;
+                    }
+                    let alike = || held[i..].iter().copied().filter(|&other| frozen[first + other] == key);
+                    region.sum_up(alike().map(of));
+                    for slot in alike() {
+                        region.refine(of(slot), &mut visibility[slot * groups..(slot + 1) * groups]);
                     }
                 }
             }

@@ -54,12 +54,18 @@ impl Triangle<'_> {
         texture.map(self.blend2(&self.mesh.uvs[usize::from(texture.uv_set)]))
     }
 
+    /// The front's normal by the winding, in the instance's space, of any length.
+    #[inline]
+    fn winding(&self) -> DVec3 {
+        let [a, b, c] = self.corners.map(|i| self.mesh.positions[i].as_dvec3());
+        // A sliver's edges are nearly parallel: single precision would lose the normal.
+        (b - a).cross(c - a)
+    }
+
     /// The front's normal by the winding, world space, not of unit length; zero for a triangle without area.
     #[inline]
     fn front(&self) -> Vec3 {
-        let [a, b, c] = self.corners.map(|i| self.mesh.positions[i].as_dvec3());
-        // A sliver's edges are nearly parallel: single precision would lose the normal.
-        let n = (b - a).cross(c - a).normalize_or_zero().as_vec3();
+        let n = self.winding().normalize_or_zero().as_vec3();
         if self.instance.identity { n } else { Vec3::from(self.instance.normal_matrix * Vec3A::from(n)) }
     }
 
@@ -221,7 +227,9 @@ impl Scene {
     /// Whether `hit` is on the side the winding calls the front, for a ray that goes along `dir`. Triangles without area
     /// have two fronts.
     pub fn is_front(&self, dir: Vec3, hit: &Hit) -> bool {
-        self.hit_triangle(hit).front().dot(dir) <= 0.0
+        let t = self.hit_triangle(hit);
+        // A side is a sign: no length is needed where nothing is lost in single precision.
+        if t.instance.identity { t.winding().dot(dir.as_dvec3()) <= 0.0 } else { t.front().dot(dir) <= 0.0 }
     }
 
     /// Interpolated and bumped, on the side of `ng`, facing the viewer.
