@@ -34,7 +34,7 @@ const NEIGHBOURS: usize = 8;
 const NEAR: u32 = 2;
 
 /// What a slot's expected irradiance takes beside it ([`super::tessellated`]).
-const EXPECTED_BYTES: usize = 27 * 4;
+const EXPECTED_BYTES: usize = 31 * 4;
 
 /// The axes of records' normals, as keys count them.
 pub const AXES: [Vec3; 6] = [Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z];

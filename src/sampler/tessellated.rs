@@ -98,6 +98,26 @@ fn irradiances(triangles: &Preconvolution) -> Vec<Irradiance> {
     (0..normals::CELLS).into_par_iter().map(make).collect()
 }
 
+/// A texel with more than so many times the light of all others leaves single precision no digits for them.
+const MOST_CONTRAST: f64 = 1e5;
+
+/// Whether the control variate can be summed in single precision: sums must not leave its range, nor drown the sky beside
+/// its sun. (And darkness needs no cache.)
+fn is_tame(dome: &Dome) -> bool {
+    let brightest = dome.texels.iter().flatten().fold(0.0, |most: f32, &value| most.max(value));
+    let width = dome.grid.width as usize;
+    let row = |y: usize| {
+        let solid_angle = dome.grid.solid_angle(y as u32);
+        dome.texels[y * width..(y + 1) * width].iter().map(move |&texel| f64::from(Dome::weight(texel)) * solid_angle)
+    };
+    // The brightest energy and the sum of all others, row by row: a sun's own energy must not pass through the sum.
+    let (most, rest) = (0..dome.grid.height as usize)
+        .into_par_iter()
+        .map(|y| row(y).fold((0.0, 0.0), |(most, rest): (f64, f64), e| (most.max(e), rest + most.min(e))))
+        .reduce(|| (0.0, 0.0), |a, b| (a.0.max(b.0), a.1 + b.1 + a.0.min(b.0)));
+    (1e-30..1e36).contains(&brightest) && (rest == 0.0 || most <= MOST_CONTRAST * rest)
+}
+
 /// The record that a point reads. One look-up's jitter a pixel: its samples then share their weights.
 fn read<'a>(cache: &'a ShadowCache, point: &Point) -> Option<Record<'a>> {
     let jitter = random::combine(point.numbers.seed, 0x5ad0);
@@ -135,9 +155,7 @@ impl Tessellated {
         }
         let budget = params.integer("cache-mb").expect("the option has a default") << 20;
         let least = params.integer("cache-block").expect("the option has a default") as u32;
-        // Irradiance sums must not leave f32's range, nor its precision; and darkness needs no cache.
-        let brightest = cells.dome().texels.iter().flatten().fold(0.0, |most: f32, &value| most.max(value));
-        let cache = (params.switch("cache") && (1e-30..1e36).contains(&brightest))
+        let cache = (params.switch("cache") && is_tame(dome))
             .then(|| ShadowCache::new(setup.size, preconvolved.groups.x.len(), budget, least));
         let table = if cache.is_some() { irradiances(&preconvolved) } else { Vec::new() };
         let expected = if cache.is_some() { Expected::new(&preconvolved) } else { Expected::default() };

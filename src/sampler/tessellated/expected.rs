@@ -4,7 +4,7 @@
 //! Towards a record's axis a group of triangles lies wholly above every normal's horizon, and its irradiance is n·F; or
 //! below, and it is 0; or between, where the clamped cosine becomes its projection on the first three bands of
 //! spherical harmonics, (t)⁺ ≈ 3/32 + t/2 + 15/32 t² (Ramamoorthi & Hanrahan 2001). By visibility they sum up to one
-//! quadratic form of the normal a record and channel.
+//! quadratic form of the normal a record and channel. The few brightest groups keep their clamped cosine.
 
 use super::weights::dot;
 use crate::sampler::preconvolution::Preconvolution;
@@ -22,32 +22,62 @@ type Forms = [[f32; TERMS]; 3];
 /// The sine of the angle that a record's normals are at most off its axis: it is the dominant one.
 const OFF_AXIS: f32 = 0.8165;
 
+/// Groups that are not taken together with the others: a sun at the horizon must not be in doubt.
+const BRIGHT: usize = 4;
+
+/// One of the brightest groups: a disc sun, as good as.
+#[derive(Debug)]
+struct Bright {
+    group: usize,
+    dir: Vec3,
+    flux: Vec3,
+}
+
+/// What a record expects.
+#[derive(Debug, Clone, Copy, Default)]
+struct Expectation {
+    forms: Forms,
+    /// Visibility of the bright groups.
+    bright: [f32; BRIGHT],
+}
+
 /// The expectation of each record.
 #[derive(Debug, Default)]
 pub(super) struct Expected {
     /// What each group adds to a form of each axis's records.
     groups: Vec<[[Vec<f32>; TERMS]; 3]>,
+    /// The brightest groups.
+    bright: Vec<Bright>,
     /// By the cache's slots.
-    records: Vec<Forms>,
+    records: Vec<Expectation>,
     /// By axis where there is no record: of every group half, for nobody knows.
-    unknown: Vec<Forms>,
+    unknown: Vec<Expectation>,
 }
 
 impl Expected {
     pub(super) fn new(triangles: &Preconvolution) -> Self {
-        let groups: Vec<_> = AXES.iter().map(|&axis| terms(triangles, axis)).collect();
+        let mut order: Vec<usize> = (0..triangles.groups.x.len()).collect();
+        order.sort_by(|&a, &b| triangles.groups.f[b].total_cmp(&triangles.groups.f[a]));
+        let bright = |&group: &usize| Bright {
+            group,
+            dir: Vec3::new(triangles.groups.x[group], triangles.groups.y[group], triangles.groups.z[group])
+                .normalize_or_zero(),
+            flux: Vec3::from([0, 1, 2].map(|channel| flux(triangles, group, channel).0)),
+        };
+        let bright: Vec<Bright> = order[..BRIGHT].iter().map(bright).collect();
+        let groups: Vec<_> = AXES.iter().map(|&axis| terms(triangles, &bright, axis)).collect();
         let half = vec![128; triangles.groups.x.len()];
-        let unknown = groups.iter().map(|groups| summed(groups, &half)).collect();
-        Self { groups, records: Vec::new(), unknown }
+        let unknown = groups.iter().map(|groups| summed(groups, &bright, &half)).collect();
+        Self { groups, bright, records: Vec::new(), unknown }
     }
 
     /// Takes over what the cache has frozen.
     pub(super) fn learn(&mut self, cache: &ShadowCache) {
-        let Self { groups, records, .. } = self;
-        records.resize(cache.slots(), Forms::default());
-        records.par_iter_mut().enumerate().for_each(|(slot, forms)| {
+        let Self { groups, bright, records, .. } = self;
+        records.resize(cache.slots(), Expectation::default());
+        records.par_iter_mut().enumerate().for_each(|(slot, record)| {
             if let Some((axis, visibility)) = cache.record(slot) {
-                *forms = summed(&groups[axis], visibility);
+                *record = summed(&groups[axis], bright, visibility);
             }
         });
     }
@@ -55,48 +85,60 @@ impl Expected {
     /// About the irradiance on normal `n`, W·m⁻² a channel.
     #[inline]
     pub(super) fn irradiance(&self, slot: Option<u32>, axis: usize, n: Vec3) -> Vec3 {
-        let forms = slot.map_or(&self.unknown[axis], |slot| &self.records[slot as usize]);
+        let Expectation { forms, bright } = match slot {
+            Some(slot) => &self.records[slot as usize],
+            None => &self.unknown[axis],
+        };
         let terms = [n.x, n.y, n.z, n.x * n.x, n.y * n.y, n.z * n.z, n.x * n.y, n.x * n.z, n.y * n.z];
         let channel = |form: &[f32; TERMS]| form.iter().zip(terms).map(|(a, b)| a * b).sum::<f32>().max(0.0);
-        Vec3::from([0, 1, 2].map(|c| channel(&forms[c])))
+        let soft = Vec3::from([0, 1, 2].map(|c| channel(&forms[c])));
+        let hard = self.bright.iter().zip(bright).map(|(of, m)| of.flux * (m * n.dot(of.dir).max(0.0)));
+        soft + hard.sum::<Vec3>()
     }
 }
 
-/// What each group adds, for normals about `axis`.
-fn terms(triangles: &Preconvolution, axis: Vec3) -> [[Vec<f32>; TERMS]; 3] {
-    let rgb = &triangles.groups.rgb;
+/// A group's flux in one channel and its direction, of unit length; whatever the unit, squares must not overflow.
+fn flux(triangles: &Preconvolution, g: usize, channel: usize) -> (f32, Vec3) {
+    let f = Vec3::from([0, 1, 2].map(|axis| triangles.groups.rgb[3 * channel + axis][g]));
+    let scale = f.abs().max_element();
+    if scale == 0.0 {
+        return (0.0, Vec3::ZERO);
+    }
+    let length = (f / scale).length();
+    (scale * length, f / scale / length)
+}
+
+/// What each group adds, for normals about `axis`; the bright ones nothing.
+fn terms(triangles: &Preconvolution, bright: &[Bright], axis: Vec3) -> [[Vec<f32>; TERMS]; 3] {
     let count = triangles.groups.x.len();
     std::array::from_fn(|channel| {
         let mut rows: [Vec<f32>; TERMS] = std::array::from_fn(|_| vec![0.0; count]);
-        for g in 0..count {
-            let f = Vec3::from([0, 1, 2].map(|axis| rgb[3 * channel + axis][g]));
-            let flux = f.length();
-            let d = f / flux.max(f32::MIN_POSITIVE);
+        for g in (0..count).filter(|&g| bright.iter().all(|bright| bright.group != g)) {
+            let (flux, d) = flux(triangles, g, channel);
             let towards = d.dot(axis);
             let of_group = if towards > OFF_AXIS {
-                [f.x, f.y, f.z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+                [d.x, d.y, d.z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
             } else if towards < -OFF_AXIS {
                 [0.0; TERMS]
             } else {
-                let square = |d: f32| flux * (3.0 / 32.0 + 15.0 / 32.0 * d * d);
-                let mixed = |a: f32, b: f32| flux * (15.0 / 16.0) * a * b;
-                let h = 0.5 * f;
-                let (xy, xz, yz) = (mixed(d.x, d.y), mixed(d.x, d.z), mixed(d.y, d.z));
-                [h.x, h.y, h.z, square(d.x), square(d.y), square(d.z), xy, xz, yz]
+                let square = |d: f32| 3.0 / 32.0 + 15.0 / 32.0 * d * d;
+                let (xy, xz, yz) = (d.x * d.y, d.x * d.z, d.y * d.z);
+                let [h, mixed] = [d * 0.5, Vec3::new(xy, xz, yz) * (15.0 / 16.0)];
+                [h.x, h.y, h.z, square(d.x), square(d.y), square(d.z), mixed.x, mixed.y, mixed.z]
             };
             for (row, value) in rows.iter_mut().zip(of_group) {
-                row[g] = value;
+                row[g] = flux * value;
             }
         }
         rows
     })
 }
 
-fn summed(groups: &[[Vec<f32>; TERMS]; 3], visibility: &[u8]) -> Forms {
+fn summed(groups: &[[Vec<f32>; TERMS]; 3], bright: &[Bright], visibility: &[u8]) -> Expectation {
     let visibility: Vec<f32> = visibility.iter().map(|&m| f32::from(m) * (1.0 / 255.0)).collect();
     let mut forms = Forms::default();
     dispatch(Sum { groups, visibility: &visibility, forms: &mut forms });
-    forms
+    Expectation { forms, bright: std::array::from_fn(|i| visibility[bright[i].group]) }
 }
 
 struct Sum<'a> {
@@ -114,6 +156,43 @@ impl Kernel for Sum<'_> {
         for (form, rows) in forms.iter_mut().zip(groups) {
             for (term, row) in form.iter_mut().zip(rows) {
                 *term = dot(visibility, row);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dome::{Dome, Faults, project::Grid};
+    use crate::sampler::cells::DomeCells;
+    use crate::sampler::tessellation::{Cells, Tessellation};
+    use std::sync::Arc;
+
+    /// Where all is visible the expectation is the irradiance, but for the groups at the horizon.
+    #[test]
+    fn what_sees_everything_expects_the_domes_irradiance() {
+        let grid = Grid::new(64, 32, 0.0);
+        let sky = |i: usize| if i < 64 * 16 { [0.4, 0.7, 1.0] } else { [0.3, 0.2, 0.1] };
+        let mut texels: Vec<[f32; 3]> = (0..grid.len()).map(sky).collect();
+        texels[64 * 5 + 20] = [900.0, 800.0, 700.0];
+        let cells = DomeCells::new(Arc::new(Dome { grid, texels, faults: Faults::default() }));
+        let triangles = Preconvolution::new(&cells, &Tessellation::new(&cells, 128, 1024));
+        let mut expected = Expected::new(&triangles);
+        let visible = vec![255; triangles.groups.x.len()];
+        for (i, axis) in AXES.into_iter().enumerate() {
+            expected.records = vec![summed(&expected.groups[i], &expected.bright, &visible)];
+            for n in [axis, (axis + 0.3 * axis.any_orthonormal_vector()).normalize()] {
+                let mut exact = Vec3::ZERO;
+                for cell in 0..cells.count() as u32 {
+                    let cosine = cells.mean_direction(cell).as_vec3().dot(n).max(0.0);
+                    exact += cells.radiance(cell) * (cells.solid_angle(cell) as f32 * cosine);
+                }
+                let error = (expected.irradiance(Some(0), i, n) - exact).abs();
+                // The quadratic is off by up to 3/32 of what shines about the horizon; all the sky does, the sun does not.
+                let sky: Vec3 = cells.dome().texels.iter().map(|&t| Vec3::from(t)).filter(|t| t.x < 2.0).sum();
+                let most = sky / cells.dome().texels.len() as f32 * (3.0 / 32.0 * 4.0 * std::f32::consts::PI);
+                assert!(error.cmple(most).all(), "axis {i}: {error} is above {most}");
             }
         }
     }

@@ -119,7 +119,8 @@ impl Shot<'_> {
             crop,
             spp: self.spp,
             rays: self.rays,
-            camera_rays: None,
+            // More than the shaded ones: what they are taken for must not move the mean, whatever the cache holds.
+            camera_rays: Some(3),
             seed,
             tile: self.tile,
             filter: Filter::Box,
