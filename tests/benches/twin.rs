@@ -10,12 +10,13 @@ mod rays;
 use anyhow::{Context, Result, ensure};
 use domelight::accel::{self, Accel, Coherence, Hit, Mask, Ray};
 use domelight::scene::Scene;
-use rays::BATCH;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::Arc;
 
+/// Rays a call, as in twin.cpp.
+const BATCH: usize = 256;
 const ROUNDS: usize = 11;
 const RAYS: usize = 1 << 18;
 
@@ -56,7 +57,7 @@ fn measure(spec: &str, program: &Path, input: &Path) -> Result<()> {
     let scene = Arc::new(generate::generate(spec)?);
     let accels = KINDS.map(|(_, accel)| accel::build(accel, &scene, 1));
     let accels = accels.into_iter().collect::<Result<Vec<_>, _>>()?;
-    let sets = rays::make(&scene, accels[0].as_ref(), RAYS);
+    let sets = rays::make(&scene, accels[0].as_ref(), &Arc::new(generate::sky()), RAYS)?;
     write(input, &scene, [&sets.camera, &sets.incoherent, &sets.grouped])?;
     let mut twin = Twin::start(program, input)?;
     for ((kind, _), accel) in KINDS.iter().zip(&accels) {

@@ -1,6 +1,8 @@
 //! Scenes made on the spot: `terrain:300k`, `soup:1M`, `forest:10M`.
 
 use anyhow::{Context, bail};
+use domelight::dome::project::Grid;
+use domelight::dome::{Dome, Faults};
 use domelight::random::{hash, unit};
 use domelight::scene::{Instance, Material, Mesh, Scene};
 use glam::{Affine3A, Mat3A, Quat, Vec3};
@@ -10,7 +12,8 @@ use std::f32::consts::TAU;
 pub(super) fn generate(spec: &str) -> anyhow::Result<Scene> {
     let (kind, count) = spec.split_once(':').context("--generate takes KIND:TRIANGLES, such as terrain:300k")?;
     let count = parse_count(count)?;
-    let mut scene = Scene { materials: vec![Material::default()], ..Scene::default() };
+    let matt = Material { metallic: 0.0, specular: 0.0, double_sided: true, ..Material::default() };
+    let mut scene = Scene { materials: vec![matt], ..Scene::default() };
     match kind {
         "terrain" => {
             let mesh = terrain(count);
@@ -25,6 +28,18 @@ pub(super) fn generate(spec: &str) -> anyhow::Result<Scene> {
     }
     bounds(&mut scene);
     Ok(scene)
+}
+
+/// A clear sky: brighter towards the horizon, with a sun three degrees across that gives half of the light.
+pub(super) fn sky() -> Dome {
+    let grid = Grid::new(1024, 512, 0.0);
+    let sun = Vec3::new(0.5, 0.6, 0.4).normalize();
+    let radiance = |i: u32| {
+        let dir = grid.direction(f64::from(i % grid.width) + 0.5, f64::from(i / grid.width) + 0.5);
+        let sky = if dir.y > 0.0 { Vec3::new(0.9, 1.0, 1.2) - dir.y * Vec3::new(0.7, 0.5, 0.2) } else { Vec3::splat(0.2) };
+        (sky + if dir.dot(sun) > 0.999_66 { 1500.0 } else { 0.0 }).to_array()
+    };
+    Dome { grid, texels: (0..grid.len() as u32).map(radiance).collect(), faults: Faults::default() }
 }
 
 fn parse_count(text: &str) -> anyhow::Result<usize> {

@@ -20,7 +20,7 @@ pub(super) enum Kind {
     AnyHit,
     /// Nearest hits of scattered rays.
     ClosestHit,
-    /// Any hit of shadow rays, 64 a point.
+    /// Any hit of a render's shadow rays.
     Grouped,
 }
 

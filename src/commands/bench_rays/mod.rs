@@ -11,6 +11,7 @@ mod report;
 use super::values::whole;
 use anyhow::{Context, bail};
 use domelight::accel::{self, ACCELS, Accel};
+use domelight::dome::{self, Dome};
 use domelight::scene::{self, LoadOptions, Scene};
 use measure::{KINDS, Sample};
 use serde::Serialize;
@@ -37,6 +38,9 @@ pub(crate) struct Args {
     /// Structures to compare [default: all but the brute-force one]
     #[arg(long, value_name = "NAME:KEY=VALUE,…")]
     pub(crate) accel: Vec<String>,
+    /// Dome that shadow rays go to [default: a clear sky, made on the spot]
+    #[arg(long, value_name = "FILE")]
+    pub(crate) dome: Option<PathBuf>,
     /// Rays of each kind
     #[arg(long, default_value_t = 1 << 20, value_parser = whole::<u32>(256..=1 << 26), allow_hyphen_values = true)]
     pub(crate) rays: u32,
@@ -89,7 +93,8 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     // A path that can't be written fails now, not after the measurements.
     report::write(&all, args.json.as_deref(), args.csv.as_deref(), args.svg.as_deref())?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().context("cannot start the threads")?;
-    let bench = Bench { args: &args, specs: &specs, threads, pool: &pool };
+    let dome = Arc::new(args.dome.as_deref().map_or_else(|| Ok(generate::sky()), |path| dome::load(path, 0.0, 1.0))?);
+    let bench = Bench { args: &args, specs: &specs, dome: &dome, threads, pool: &pool };
     let mut agreed = true;
     let names: Vec<String> = args.scenes.iter().map(|p| p.display().to_string()).collect();
     for (index, name) in names.iter().chain(&args.generate).enumerate() {
@@ -118,6 +123,7 @@ fn default_specs() -> Vec<String> {
 struct Bench<'a> {
     args: &'a Args,
     specs: &'a [String],
+    dome: &'a Arc<Dome>,
     threads: usize,
     pool: &'a rayon::ThreadPool,
 }
@@ -161,7 +167,7 @@ impl Bench<'_> {
             built.push(accel);
         }
         let accels: Vec<&dyn Accel> = built.iter().map(|a| &**a).collect();
-        let sets = rays::make(scene, accels[0], self.args.rays as usize);
+        let sets = rays::make(scene, accels[0], self.dome, self.args.rays as usize)?;
         let mut agreed = true;
         for kind in KINDS {
             let rays = kind.rays(&sets);

@@ -1,16 +1,25 @@
-//! What is asked: camera rays tile by tile, cosine-distributed rays from what they met, and shadow rays of many points
-//! in one batch, each point's sorted along the dome.
+//! What is asked: camera rays tile by tile, cosine-distributed rays from what they met, and the shadow rays of a render.
 
-use domelight::accel::{Accel, Coherence, Hit, Mask, Ray};
+use anyhow::Result;
+use domelight::accel::{Accel, AccelStats, Coherence, Hit, Mask, Ray};
+use domelight::dome::Dome;
+use domelight::film::Filter;
+use domelight::integrator::INTEGRATORS;
 use domelight::random::{hash, unit};
-use domelight::scene::{Projection, Scene};
-use glam::{Affine3A, Mat3, Vec3};
+use domelight::registry::resolve;
+use domelight::render::{Background, Render, Settings, Watch};
+use domelight::sampler::{SAMPLERS, Setup};
+use domelight::scene::Scene;
+use domelight::scene::camera::{CameraChoice, View};
+use glam::Vec3;
 use std::f32::consts::TAU;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, PoisonError};
 
-/// Rays a call: a tile of 16 × 16, or four points with 64 shadow rays.
-pub(super) const BATCH: usize = 256;
+/// Rays a call: as many as a render sends.
+pub(super) const BATCH: usize = 1024;
 /// Shadow rays of one point.
-const GROUP: usize = 64;
+const GROUP: u32 = 16;
 
 /// The rays of a scene.
 pub(super) struct RaySets {
@@ -18,37 +27,87 @@ pub(super) struct RaySets {
     pub(super) camera: Vec<Ray>,
     /// One or more rays a first hit, in no order.
     pub(super) incoherent: Vec<Ray>,
-    /// Groups of 64 from one point, sorted.
+    /// The shadow rays of a render, up to 16 from each point, in the order in which it sends them.
     pub(super) grouped: Vec<Ray>,
 }
 
-/// Makes about `count` rays of each kind; first hits come from `accel`.
-pub(super) fn make(scene: &Scene, accel: &dyn Accel, count: usize) -> RaySets {
-    let camera = camera_rays(scene, count);
+/// Makes about `count` rays of each kind; first hits come from `accel`, shadow rays go towards `dome`.
+pub(super) fn make(scene: &Scene, accel: &dyn Accel, dome: &Arc<Dome>, count: usize) -> Result<RaySets> {
+    let side = ((count as f32).sqrt() as usize).div_ceil(16).max(1) * 16;
+    let camera = camera_rays(&view(scene, side)?, side);
     let mut hits = vec![Hit::MISS; camera.len()];
     for (rays, hits) in camera.chunks(BATCH).zip(hits.chunks_mut(BATCH)) {
         accel.intersect(rays, Mask::All, Coherence::Coherent, hits);
     }
     let points: Vec<_> = camera.iter().zip(&hits).filter_map(|(ray, hit)| point(scene, ray, hit)).collect();
     if points.is_empty() {
-        return RaySets { camera, incoherent: Vec::new(), grouped: Vec::new() };
+        return Ok(RaySets { camera, incoherent: Vec::new(), grouped: Vec::new() });
     }
     // Points and directions by hash, so that neighbours in the list are strangers in the scene.
     let incoherent = (0..count as u32).map(|i| {
         let (position, normal) = points[hash(&[i, 1]) as usize % points.len()];
         Ray::new(position, cosine(normal, unit(hash(&[i, 2])), unit(hash(&[i, 3]))))
     });
-    let grouped = (0..(count / GROUP).max(1)).flat_map(|g| {
-        let (position, normal) = points[g * points.len() / (count / GROUP).max(1)];
-        (0..GROUP).map(move |i| {
-            // An 8 × 8 grid in boustrophedon order: one direction is near the next.
-            let (row, column) = (i / 8, if i / 8 % 2 == 0 { i % 8 } else { 7 - i % 8 });
-            let jitter = |word| unit(hash(&[g as u32, i as u32, word]));
-            let (u, v) = ((column as f32 + jitter(4)) / 8.0, (row as f32 + jitter(5)) / 8.0);
-            Ray::new(position, cosine(normal, u, v))
-        })
-    });
-    RaySets { incoherent: incoherent.collect(), grouped: grouped.collect(), camera }
+    let incoherent = incoherent.collect();
+    // As many pixels as have `count` rays, given how many of them see something.
+    let pixels = count * camera.len() / points.len() / GROUP as usize;
+    let grouped = shadow_rays(scene, accel, dome, ((pixels as f64).sqrt().ceil() as u32).max(1))?;
+    Ok(RaySets { incoherent, grouped, camera })
+}
+
+/// Hands a render's questions on and keeps its shadow rays.
+#[derive(Debug)]
+struct Recorder<'a> {
+    accel: &'a dyn Accel,
+    rays: Mutex<Vec<Ray>>,
+}
+
+impl Accel for Recorder<'_> {
+    fn intersect(&self, rays: &[Ray], mask: Mask, coherence: Coherence, hits: &mut [Hit]) {
+        self.accel.intersect(rays, mask, coherence, hits);
+    }
+
+    fn occluded(&self, rays: &[Ray], mask: Mask, occluded: &mut [u8]) {
+        // What goes on to alpha geometry has been asked of the opaque first.
+        if mask != Mask::Alpha {
+            self.rays.lock().unwrap_or_else(PoisonError::into_inner).extend(rays);
+        }
+        occluded.fill(0);
+    }
+
+    fn stats(&self) -> AccelStats {
+        self.accel.stats()
+    }
+}
+
+/// What a render of `side` × `side` pixels asks, drawn by the tessellated sampler. Without its cache, which would have
+/// them depend on the answers.
+fn shadow_rays(scene: &Scene, accel: &dyn Accel, dome: &Arc<Dome>, side: u32) -> Result<Vec<Ray>> {
+    let (plugin, params) = resolve("sampler", SAMPLERS, "tessellated:cache=off")?;
+    let setup = Setup { size: [side; 2], gloss: scene.needs.gloss, rays: GROUP };
+    let mut sampler = (plugin.make)(dome, &params, &setup)?;
+    let (plugin, params) = resolve("integrator", INTEGRATORS, "direct")?;
+    let integrator = (plugin.make)(&params)?;
+    let settings = Settings {
+        size: [side; 2],
+        crop: [0, 0, side, side],
+        spp: 1,
+        rays: GROUP,
+        seed: 0,
+        tile: 32,
+        filter: Filter::Box,
+        background: Background::Black,
+        aovs: false,
+        variance: false,
+        time: None,
+    };
+    let recorder = Recorder { accel, rays: Mutex::default() };
+    let view = view(scene, side as usize)?;
+    let render = Render { scene, accel: &recorder, dome, integrator: &*integrator, view: &view, settings };
+    // On one thread, so that they come in one order.
+    let watch = Watch { finish: &AtomicBool::new(false), progress: &|_| () };
+    rayon::ThreadPoolBuilder::new().num_threads(1).build()?.install(|| render.run(&mut *sampler, watch));
+    Ok(recorder.rays.into_inner().unwrap_or_else(PoisonError::into_inner))
 }
 
 /// Where a ray met the scene, lifted off it, and the normal on the ray's side.
@@ -70,33 +129,22 @@ fn cosine(normal: Vec3, u: f32, v: f32) -> Vec3 {
 }
 
 /// The asset's first camera, or one that sees the whole from above.
-fn camera_rays(scene: &Scene, count: usize) -> Vec<Ray> {
-    let side = ((count as f32).sqrt() as usize).div_ceil(16).max(1) * 16;
+fn view(scene: &Scene, side: usize) -> Result<View> {
     let [low, high] = scene.bounds;
-    let (centre, size) = ((low + high) * 0.5, (high - low).length().max(1e-6));
-    let (eye, half) = match scene.cameras.first() {
-        Some(camera) => match camera.projection {
-            Projection::Perspective { yfov } => (camera.transform, (yfov * 0.5).tan()),
-            Projection::Orthographic { .. } => (camera.transform, 0.4),
-        },
-        None => {
-            let from = centre + Vec3::new(0.35, 0.25, 0.45) * size;
-            let back = (from - centre).normalize_or(Vec3::Z);
-            let right = Vec3::Y.cross(back).normalize_or(Vec3::X);
-            let axes = Mat3::from_cols(right, back.cross(right), back);
-            (Affine3A::from_mat3_translation(axes, from), 0.45)
-        }
-    };
-    let mut rays = Vec::with_capacity(side * side);
-    for i in 0..side * side {
+    let (target, size) = ((low + high) * 0.5, (high - low).length().max(1e-6));
+    let above = CameraChoice::LookAt { eye: target + Vec3::new(0.35, 0.25, 0.45) * size, target, fov: 48.5 };
+    let choice = if scene.cameras.is_empty() { above } else { CameraChoice::First };
+    Ok(View::new(&choice.resolve(scene, 1.0)?, side as u32, side as u32))
+}
+
+fn camera_rays(view: &View, side: usize) -> Vec<Ray> {
+    let tiles = side / 16;
+    let ray = |i: usize| {
         // Index → tile of 256 → block of 16 → pixel.
         let (tile, block, pixel) = (i / 256, i / 16 % 16, i % 16);
-        let tiles = side / 16;
         let x = tile % tiles * 16 + block % 4 * 4 + pixel % 4;
         let y = tile / tiles * 16 + block / 4 * 4 + pixel / 4;
-        let to_film = |p: usize| ((p as f32 + 0.5) / side as f32 * 2.0 - 1.0) * half;
-        let dir = Vec3::new(to_film(x), -to_film(y), -1.0);
-        rays.push(Ray::new(eye.translation.into(), eye.transform_vector3(dir).normalize()));
-    }
-    rays
+        view.ray(x as f32 + 0.5, y as f32 + 0.5)
+    };
+    (0..side * side).map(ray).collect()
 }
