@@ -74,7 +74,8 @@ dome_embree *dome_create(const dome_options *options) {
   snprintf(config, sizeof config, "threads=%u", options->threads);
   embree->device = rtcNewDevice(config);
   if (embree->device == NULL) {
-    fail(embree, "no device: is this processor supported?");
+    bool memory = rtcGetDeviceError(NULL) == RTC_ERROR_OUT_OF_MEMORY;
+    fail(embree, memory ? "out of memory" : "no device: is this processor supported?");
     return embree;
   }
   rtcSetDeviceErrorFunction(embree->device, on_error, embree);

@@ -41,6 +41,17 @@ pub(crate) struct Chart {
     pub(crate) floor: Option<f64>,
 }
 
+/// Charts below each other, as one SVG.
+pub(crate) fn stacked(charts: &[Chart]) -> String {
+    let height = HEIGHT * charts.len() as f64;
+    let mut svg = format!("<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\">\n");
+    for (i, chart) in charts.iter().enumerate() {
+        let placed = format!("<svg y=\"{}\" width=\"{WIDTH}\" height=\"{HEIGHT}\" ", i as f64 * HEIGHT);
+        svg += &chart.svg().replacen("<svg ", &placed, 1);
+    }
+    svg + "</svg>\n"
+}
+
 /// One axis: the exponents shown, and the pixels they lie at.
 #[derive(Debug, Clone, Copy)]
 struct Axis {

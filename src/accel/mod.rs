@@ -39,15 +39,16 @@ impl Ray {
         Self { origin, tnear: 0.0, dir, tfar: f32::INFINITY }
     }
 
-    /// Whether the ray can be traced: origin and direction finite and below 1.8e18, 0 ≤ tnear, no NaN. Any other ray
-    /// meets nothing, whatever the structure (Debian's Embree 3 would abort the process).
+    /// Whether the ray can be traced: origin and direction finite and below 1.8e18, a direction at all, 0 ≤ tnear ≤ tfar,
+    /// no NaN. Any other ray meets nothing, whatever the structure (Debian's Embree 3 would abort the process).
     #[inline]
     pub fn is_valid(&self) -> bool {
         let large = 1.8e18;
         let bound = self.origin.abs().max(self.dir.abs());
         // A NaN makes one of these comparisons false: max() alone would hide it.
         let finite = (self.origin + self.dir).is_finite();
-        finite && bound.max_element() < large && self.tnear >= 0.0 && self.tfar >= self.tnear
+        let leads = self.dir.abs().max_element() > 0.0;
+        finite && leads && bound.max_element() < large && self.tnear >= 0.0 && self.tfar >= self.tnear
     }
 }
 

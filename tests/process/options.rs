@@ -56,7 +56,7 @@ const BENCH_ERROR: &[Case] = &[
 const BENCH_RAYS: &[Case] = &[
     ("--rays", &["0", "255", "-1", "67108865"], "from 256 to 67108864"),
     ("--rounds", &["0", "-1", "1001"], "from 1 to 1000"),
-    ("--threads", &["-1", "1025"], "from 0 to 1024"),
+    ("--threads", &["0", "1,-1", "1025"], "from 1 to 1024"),
     ("--generate", &["terrain", "terrain:0", "terrain:-1", "terrain:101M", "moon:10k", "terrain:1e3"], "terrain"),
     ("--accel", &["magic"], "bvh"),
 ];

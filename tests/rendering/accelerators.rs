@@ -311,7 +311,6 @@ fn rays_that_cannot_be_traced_meet_nothing_and_are_counted() {
         let [ox, oy, oz, tnear, dx, dy, dz, tfar] = parts;
         rays.push(Ray { origin: Vec3::new(ox, oy, oz), tnear, dir: Vec3::new(dx, dy, dz), tfar });
     }
-    rays.push(Ray::new(Vec3::ZERO, Vec3::ZERO));
     let invalid = rays.iter().filter(|r| !r.is_valid()).count() as u64;
     assert!(invalid > 10_000);
     for spec in specs() {
@@ -324,6 +323,45 @@ fn rays_that_cannot_be_traced_meet_nothing_and_are_counted() {
         assert!(accel.stats().invalid_rays >= 2 * invalid, "{spec}: {:?}", accel.stats());
         let shadows = occluded(&*accel, &rays, Mask::All);
         assert!(rays.iter().zip(&shadows).all(|(r, s)| r.is_valid() || *s == 0), "{spec}");
+    }
+}
+
+#[test]
+fn each_kind_of_untraceable_ray_is_one_miss() {
+    let mut scene = Scene::default();
+    add_mesh(&mut scene, closed_box(2), AlphaMode::Opaque);
+    let scene = scene_of(scene);
+    let good = Ray::new(Vec3::new(0.1, 0.2, 0.3), Vec3::X);
+    let mut bad = vec![
+        Ray { dir: Vec3::ZERO, ..good },
+        Ray { dir: -Vec3::ZERO, ..good },
+        Ray { tnear: -1.0, ..good },
+        Ray { tnear: f32::NAN, ..good },
+        Ray { tfar: f32::NAN, ..good },
+        Ray { tnear: 2.0, tfar: 1.0, ..good },
+        Ray { tfar: -1.0, ..good },
+    ];
+    for odd in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e30, -1e30, 1.85e18] {
+        for axis in Vec3::AXES {
+            let with = |v: Vec3| Vec3::select(axis.cmpgt(Vec3::ZERO), Vec3::splat(odd), v);
+            bad.extend([Ray { origin: with(good.origin), ..good }, Ray { dir: with(good.dir), ..good }]);
+        }
+    }
+    for spec in specs() {
+        let accel = build(&spec, &scene);
+        for (count, ray) in bad.iter().enumerate() {
+            // Its neighbours are answered as ever.
+            let rays = [good, *ray, good];
+            let answers = match count % 3 {
+                0 => occluded(&*accel, &rays, Mask::All),
+                n => {
+                    let coherence = if n == 1 { Coherence::Coherent } else { Coherence::Incoherent };
+                    intersect(&*accel, &rays, Mask::All, coherence).iter().map(|h| h.is_hit().into()).collect()
+                }
+            };
+            assert_eq!(answers, [1, 0, 1], "{spec}: {ray:?}");
+            assert_eq!(accel.stats().invalid_rays, count as u64 + 1, "{spec}: {ray:?}");
+        }
     }
 }
 

@@ -30,6 +30,7 @@ use pages::Pages;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
@@ -47,6 +48,11 @@ pub(super) const PLUGIN: Plugin<MakeAccel> = Plugin {
     }],
     make: |scene, params, threads| Ok(Box::new(Bvh::new(scene, params, threads)?)),
 };
+
+/// Most bytes a triangle takes while its tree is built: itself, and the arenas' room for nodes and leaves …
+const GROWING: u64 = 32 + 140;
+/// … and in the forest that trees are copied to, where leaves are as good as full.
+const GROWN: u64 = 64;
 
 /// A shared mesh standing in the world.
 #[derive(Debug)]
@@ -208,12 +214,20 @@ impl World {
         let (mut triangles, mut peak) = (0, 0);
         // Adds a tree; returns its place in the list, if it has anything in it.
         let mut plant = |parts: &Parts<'_>, instances: &[Primitive], trees: &mut Vec<Tree>| {
-            let mut primitives = parts.primitives(instances);
             triangles += parts.triangles() as u64;
+            let needed = (parts.triangles() + instances.len()) as u64 * GROWING + triangles * GROWN;
+            if !pages::are_free(needed as usize) {
+                let mib = needed >> 20;
+                return Err(Error::Accel(format!(
+                    "bvh: out of memory: {mib} MiB more are needed to build: try --accel embree:compact=on, or a smaller scene"
+                )));
+            }
+            let mut primitives = parts.primitives(instances);
             let tree = build::build(parts, present(&mut primitives));
             trees.extend(tree);
             let held: u64 = trees.iter().map(Tree::bytes).sum();
             peak = peak.max(held + size_of_val(&*primitives) as u64);
+            Ok(())
         };
         // Shared meshes first: their boxes are the instances'.
         let mut numbers = HashMap::new();
@@ -221,12 +235,12 @@ impl World {
         let mut instances = [Vec::new(), Vec::new()];
         for placement in placements {
             let Space::Shared(inverse) = placement.space else { continue };
-            let number = *numbers.entry(placement.mesh).or_insert_with(|| {
+            if let Entry::Vacant(entry) = numbers.entry(placement.mesh) {
                 let number = trees.len();
-                plant(&Parts::of(scene, &[placement]), &[], &mut trees);
-                (trees.len() > number).then_some(number)
-            });
-            let Some(number) = number else { continue };
+                plant(&Parts::of(scene, &[placement]), &[], &mut trees)?;
+                entry.insert((trees.len() > number).then_some(number));
+            }
+            let Some(number) = numbers[&placement.mesh] else { continue };
             let (low, high) = moved(&trees[number].bounds, &scene.instances[placement.instance as usize].transform);
             let item = placed.len() as u32;
             placed.push((inverse, number, placement.instance));
@@ -242,7 +256,7 @@ impl World {
             let own = |p: &&Placement| p.mask as usize - 1 == index && !matches!(p.space, Space::Shared(_));
             let parts = Parts::of(scene, &placements.iter().filter(own).collect::<Vec<_>>());
             let number = trees.len();
-            plant(&parts, instances, &mut trees);
+            plant(&parts, instances, &mut trees)?;
             tops[index] = (trees.len() > number).then_some(number);
         }
         if triangles + placed.len() as u64 >= u64::from(node::INSTANCE) {

@@ -34,6 +34,11 @@ impl<T: Pod> Pages<T> {
     }
 }
 
+/// Whether the system would give this many bytes: under a limit it says so here, where Rust's vectors would abort.
+pub(super) fn are_free(bytes: usize) -> bool {
+    bytes < LARGE || MmapMut::map_anon(bytes).is_ok()
+}
+
 impl<T> Default for Pages<T> {
     fn default() -> Self {
         Self(Store::Small(Vec::new()))

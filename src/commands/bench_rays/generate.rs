@@ -36,7 +36,8 @@ pub(super) fn sky() -> Dome {
     let sun = Vec3::new(0.5, 0.6, 0.4).normalize();
     let radiance = |i: u32| {
         let dir = grid.direction(f64::from(i % grid.width) + 0.5, f64::from(i / grid.width) + 0.5);
-        let sky = if dir.y > 0.0 { Vec3::new(0.9, 1.0, 1.2) - dir.y * Vec3::new(0.7, 0.5, 0.2) } else { Vec3::splat(0.2) };
+        let sky =
+            if dir.y > 0.0 { Vec3::new(0.9, 1.0, 1.2) - dir.y * Vec3::new(0.7, 0.5, 0.2) } else { Vec3::splat(0.2) };
         (sky + if dir.dot(sun) > 0.999_66 { 1500.0 } else { 0.0 }).to_array()
     };
     Dome { grid, texels: (0..grid.len() as u32).map(radiance).collect(), faults: Faults::default() }

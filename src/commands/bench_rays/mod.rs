@@ -47,9 +47,9 @@ pub(crate) struct Args {
     /// Measured rounds after the one that warms up
     #[arg(long, default_value_t = 5, value_parser = whole::<u32>(1..=1000), allow_hyphen_values = true)]
     pub(crate) rounds: u32,
-    /// Threads of the parallel runs [default: all]
-    #[arg(long, default_value_t = 0, value_parser = whole::<usize>(0..=1024), allow_hyphen_values = true)]
-    pub(crate) threads: usize,
+    /// Numbers of threads [default: 1 and all]
+    #[arg(long, value_name = "N,…", value_delimiter = ',', value_parser = whole::<usize>(1..=1024), allow_hyphen_values = true)]
+    pub(crate) threads: Vec<usize>,
     /// Write the figures as JSON
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
@@ -59,6 +59,9 @@ pub(crate) struct Args {
     /// Write the rates as bars
     #[arg(long, value_name = "FILE")]
     pub(crate) svg: Option<PathBuf>,
+    /// Write rates and build times against the number of triangles, a line a structure and number of threads
+    #[arg(long, value_name = "FILE")]
+    pub(crate) scaling: Option<PathBuf>,
 }
 
 /// One figure.
@@ -78,10 +81,9 @@ struct Row {
 
 /// Runs the benchmark.
 pub(crate) fn run(args: Args) -> anyhow::Result<()> {
-    let threads = match args.threads {
-        0 => std::thread::available_parallelism().map_or(1, Into::into),
-        n => n,
-    };
+    let most = std::thread::available_parallelism().map_or(1, Into::into);
+    let mut counts = if args.threads.is_empty() { vec![1, most] } else { args.threads.clone() };
+    counts.dedup();
     let specs = if args.accel.is_empty() { default_specs() } else { args.accel.clone() };
     for spec in &specs {
         domelight::registry::resolve("accelerator", ACCELS, spec)?;
@@ -91,10 +93,14 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     }
     let mut all = Vec::new();
     // A path that can't be written fails now, not after the measurements.
-    report::write(&all, args.json.as_deref(), args.csv.as_deref(), args.svg.as_deref())?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().context("cannot start the threads")?;
+    report::write(&all, &args)?;
+    let pool = |threads| match threads {
+        1 => Ok((1, None)),
+        _ => rayon::ThreadPoolBuilder::new().num_threads(threads).build().map(|pool| (threads, Some(pool))),
+    };
+    let pools: Vec<_> = counts.into_iter().map(pool).collect::<Result<_, _>>().context("cannot start the threads")?;
     let dome = Arc::new(args.dome.as_deref().map_or_else(|| Ok(generate::sky()), |path| dome::load(path, 0.0, 1.0))?);
-    let bench = Bench { args: &args, specs: &specs, dome: &dome, threads, pool: &pool };
+    let bench = Bench { args: &args, specs: &specs, dome: &dome, pools: &pools };
     let mut agreed = true;
     let names: Vec<String> = args.scenes.iter().map(|p| p.display().to_string()).collect();
     for (index, name) in names.iter().chain(&args.generate).enumerate() {
@@ -105,7 +111,7 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
         let (rows, same) = bench.scene(name, &Arc::new(scene))?;
         agreed &= same;
         all.extend(rows);
-        report::write(&all, args.json.as_deref(), args.csv.as_deref(), args.svg.as_deref())?;
+        report::write(&all, &args)?;
     }
     bench.overhead()?;
     if !agreed {
@@ -124,8 +130,8 @@ struct Bench<'a> {
     args: &'a Args,
     specs: &'a [String],
     dome: &'a Arc<Dome>,
-    threads: usize,
-    pool: &'a rayon::ThreadPool,
+    /// Numbers of threads, each with its pool; none for one.
+    pools: &'a [(usize, Option<rayon::ThreadPool>)],
 }
 
 impl Bench<'_> {
@@ -148,7 +154,7 @@ impl Bench<'_> {
         };
         for spec in self.specs {
             let mut last = None;
-            for threads in if self.threads == 1 { vec![1] } else { vec![1, self.threads] } {
+            for &(threads, _) in self.pools {
                 let mut seconds = Vec::new();
                 for _ in 0..if triangles < 1_000_000 { 3 } else { 2 } {
                     drop(last.take());
@@ -159,10 +165,11 @@ impl Bench<'_> {
                 rows.push(row(spec, "build", threads, Sample::of(seconds), "s"));
             }
             let accel = last.context("nothing was built")?;
+            let last_threads = self.pools.last().map_or(1, |(threads, _)| *threads);
             let stats = accel.stats();
             for (what, bytes) in [("held", stats.bytes), ("peak", stats.peak_bytes)] {
                 let sample = Sample { median: bytes as f64 / stats.triangles.max(1) as f64, spread: 0.0 };
-                rows.push(row(spec, what, self.threads, sample, "B/tri"));
+                rows.push(row(spec, what, last_threads, sample, "B/tri"));
             }
             built.push(accel);
         }
@@ -183,11 +190,10 @@ impl Bench<'_> {
                     agreed = false;
                 }
             }
-            for pool in if self.threads == 1 { vec![None] } else { vec![None, Some(self.pool)] } {
-                let samples = measure::rates(kind, &accels, rays, pool, self.args.rounds as usize);
-                let threads = if pool.is_some() { self.threads } else { 1 };
+            for (threads, pool) in self.pools {
+                let samples = measure::rates(kind, &accels, rays, pool.as_ref(), self.args.rounds as usize);
                 for (spec, sample) in self.specs.iter().zip(samples) {
-                    rows.push(row(spec, kind.name(), threads, sample, "Mrays/s"));
+                    rows.push(row(spec, kind.name(), *threads, sample, "Mrays/s"));
                 }
             }
         }

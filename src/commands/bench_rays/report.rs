@@ -1,8 +1,10 @@
-//! The figures as a table, JSON, CSV and bars.
+//! The figures as a table, JSON, CSV, bars and lines over the number of triangles.
 
-use super::Row;
+use super::{Args, Row};
+use crate::plot::{COLORS, Chart, Line, Mark, stacked};
+use anyhow::Context;
 use std::fmt::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Prints the rows of one scene.
 pub(super) fn print(rows: &[Row]) {
@@ -22,19 +24,51 @@ pub(super) fn print(rows: &[Row]) {
 }
 
 /// Writes everything measured so far; called after every case, so that an interrupted run keeps what it has.
-pub(super) fn write(rows: &[Row], json: Option<&Path>, csv: Option<&Path>, svg: Option<&Path>) -> anyhow::Result<()> {
-    use anyhow::Context;
-    if let Some(path) = json {
-        let text = serde_json::to_string_pretty(rows)?;
-        std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
-    }
-    if let Some(path) = csv {
-        std::fs::write(path, table(rows)).with_context(|| format!("cannot write {}", path.display()))?;
-    }
-    if let Some(path) = svg {
-        std::fs::write(path, bars(rows)).with_context(|| format!("cannot write {}", path.display()))?;
-    }
-    Ok(())
+pub(super) fn write(rows: &[Row], args: &Args) -> anyhow::Result<()> {
+    let save = |path: &Option<PathBuf>, text: &dyn Fn() -> String| match path {
+        Some(path) => std::fs::write(path, text()).with_context(|| format!("cannot write {}", path.display())),
+        None => Ok(()),
+    };
+    let json = serde_json::to_string_pretty(rows)?;
+    save(&args.json, &|| json.clone())?;
+    save(&args.csv, &|| table(rows))?;
+    save(&args.svg, &|| bars(rows))?;
+    save(&args.scaling, &|| scaling(rows))
+}
+
+/// Charts over the number of triangles: rates and build time.
+fn scaling(rows: &[Row]) -> String {
+    let mut kinds: Vec<(&str, usize)> = rows.iter().map(|r| (r.accel.as_str(), r.threads)).collect();
+    kinds.sort_unstable();
+    kinds.dedup();
+    let chart = |what: &str, title: &str, y_label: &str| {
+        let line = |(i, &(accel, threads)): (usize, &(&str, usize))| {
+            let own = rows.iter().filter(|r| r.what == what && r.accel == accel && r.threads == threads);
+            let mark = |r: &Row| Mark {
+                x: r.triangles as f64,
+                y: r.value,
+                spread: [r.value; 2],
+                note: format!("{}, {} triangles: {:.3} {}", r.scene, r.triangles, r.value, r.unit),
+            };
+            let mut marks: Vec<Mark> = own.map(mark).collect();
+            marks.sort_by(|a, b| a.x.total_cmp(&b.x));
+            let plural = if threads == 1 { "" } else { "s" };
+            Line { label: format!("{accel}, {threads} thread{plural}"), color: COLORS[i % COLORS.len()], marks }
+        };
+        Chart {
+            title: title.to_owned(),
+            x_label: "triangles".to_owned(),
+            y_label: y_label.to_owned(),
+            lines: kinds.iter().enumerate().map(line).collect(),
+            levels: Vec::new(),
+            floor: None,
+        }
+    };
+    stacked(&[
+        chart("grouped", "A render's shadow rays", "Mrays/s"),
+        chart("any-hit", "Any hit of scattered rays", "Mrays/s"),
+        chart("build", "Build", "seconds"),
+    ])
 }
 
 fn table(rows: &[Row]) -> String {
