@@ -2,6 +2,7 @@
 //! allocates.
 
 use crate::support::{refused, render};
+use std::process::Command;
 use std::time::Instant;
 
 /// Peak resident bytes of a render, by its own statistics.
@@ -56,4 +57,29 @@ fn what_does_not_fit_is_refused_by_its_parts() {
     // The same at a size that fits.
     let mut command = render("scenes/materials.glb", "scenes/window.exr");
     command.args(["--size", "16x16", "--spp", "1", "--max-memory", "2G", "-q"]).arg("-o").arg(&out).assert().code(0);
+}
+
+/// A build that the system refuses memory, at limits from where hardly the scene fits to where all does.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_build_without_enough_memory_says_so() {
+    let build = |accel: &str, mib: u32| {
+        let mut command = Command::new("sh");
+        command.args(["-c", "ulimit -v $0 && exec \"$@\"", &(mib << 10).to_string()]);
+        command.arg(env!("CARGO_BIN_EXE_domelight")).args(["bench", "rays", "--generate", "terrain:1M", "--threads=1"]);
+        command.args(["--rays=256", "--rounds=1", "--accel", accel]).output().unwrap()
+    };
+    for accel in domelight::accel::ACCELS.iter().map(|plugin| plugin.name).filter(|name| *name != "brute") {
+        for (mib, fits) in [(150, Some(false)), (200, Some(false)), (250, Some(false)), (400, None), (2000, Some(true))] {
+            let output = build(accel, mib);
+            let error = String::from_utf8_lossy(&output.stderr);
+            match output.status.code() {
+                Some(0) => assert_ne!(fits, Some(false), "{accel} in {mib} MiB"),
+                Some(2) if fits != Some(true) => {
+                    assert!(error.contains("out of memory") && error.contains("smaller scene"), "{accel}: {error}");
+                }
+                code => panic!("{accel} in {mib} MiB: {code:?}: {error}"),
+            }
+        }
+    }
 }

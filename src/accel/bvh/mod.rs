@@ -219,7 +219,7 @@ impl World {
             if !pages::are_free(needed as usize) {
                 let mib = needed >> 20;
                 return Err(Error::Accel(format!(
-                    "bvh: out of memory: {mib} MiB more are needed to build: try --accel embree:compact=on, or a smaller scene"
+                    "bvh: out of memory: {mib} MiB more are needed to build: try a smaller scene, or --accel embree:compact=on"
                 )));
             }
             let mut primitives = parts.primitives(instances);
