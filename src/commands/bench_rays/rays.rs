@@ -93,6 +93,7 @@ fn shadow_rays(scene: &Scene, accel: &dyn Accel, dome: &Arc<Dome>, side: u32) ->
         crop: [0, 0, side, side],
         spp: 1,
         rays: GROUP,
+        camera_rays: Some(1),
         seed: 0,
         tile: 32,
         filter: Filter::Box,
