@@ -1,4 +1,4 @@
-//! Passes × tiles ([`schedule`] says which passes).
+//! Passes × tiles (`schedule` says which passes).
 //!
 //! Camera samples that trace shadow rays have others beside them that don't: those show what the sampler expects there,
 //! C, and the shaded ones how it is wrong, I − C. The mean of C over all and of I − C over the shaded is unbiased whatever C
