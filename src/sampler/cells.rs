@@ -128,6 +128,11 @@ impl DomeCells {
         &self.dome
     }
 
+    /// Cells a row.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
     /// Column and row of a cell.
     #[inline(always)]
     fn place(&self, cell: u32) -> (u32, u32) {

@@ -109,6 +109,8 @@ pub struct Draws {
 pub struct Prepared {
     /// The tessellated sampler's weights of groups.
     pub memo: tessellated::Memo,
+    /// The sketch's form of it: the counts of triangles.
+    pub counts: tessellated::Counts,
     /// The tessellated sampler's numbers on their way down the hierarchy.
     pub block: tessellated::Block,
 }

@@ -187,7 +187,7 @@ pub struct Preconvolution {
 }
 
 /// Where the `i`-th of `count` stands when they are dealt to `lanes` lanes.
-fn slot(i: usize, count: usize, lanes: usize) -> usize {
+pub(super) fn slot(i: usize, count: usize, lanes: usize) -> usize {
     let rows = count / lanes;
     i % rows * lanes + i / rows
 }

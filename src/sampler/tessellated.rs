@@ -18,30 +18,34 @@
 mod draw;
 mod expected;
 mod irradiance;
+mod memory;
 mod normals;
 mod pages;
+mod seed;
 mod texels;
 mod weights;
 
 pub use draw::Block;
+pub use seed::Counts;
 pub use weights::Memo;
 
 use super::cells::DomeCells;
 use super::preconvolution::Preconvolution;
 use super::shadow_cache::{NO_TARGET, Record, ShadowCache};
 use super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
-use super::{CacheStats, DomeSampler, Draws, MakeSampler, Point, Prepared, SamplerStats, Setup};
+use super::{DomeSampler, Draws, MakeSampler, Point, Prepared, SamplerStats, Setup};
 use crate::dome::Dome;
-use crate::error::Result;
-use crate::random;
+use crate::error::{Error, Result};
 use crate::registry::{Kind, Opt, Params, Plugin};
 use crate::simd::dispatch;
 use draw::{BLOCK, Descend, LeafCounts, MOST_AT_HORIZON};
 use expected::Expected;
 use glam::Vec3;
 use irradiance::{Irradiance, Sweep};
-use normals::Aim;
+use memory::Memory;
+use normals::{Aim, Normals};
 use rayon::prelude::*;
+use seed::Seed;
 use std::io::{self, Read, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
@@ -54,8 +58,25 @@ pub const PLUGIN: Plugin<MakeSampler> = Plugin {
     name: "tessellated",
     about: "tessellated importance function with a shadow cache",
     options: &[
+        Opt {
+            key: "mode",
+            kind: Kind::Choice(&["full", "seed"]),
+            default: "full",
+            about: "seed: the sketch's own form, uniform in the triangle",
+        },
         Opt { key: "triangles", kind: Kind::Integer(20, 65536), default: "auto", about: "most triangles (leaves)" },
-        Opt { key: "groups", kind: Kind::Integer(20, 2048), default: "auto", about: "most groups of triangles" },
+        Opt {
+            key: "groups",
+            kind: Kind::Integer(20, 2048),
+            default: "auto",
+            about: "most groups of triangles; full only",
+        },
+        Opt {
+            key: "normals",
+            kind: Kind::Integer(6, 65536),
+            default: "auto",
+            about: "most normals that the irradiance is tabulated for",
+        },
         Opt { key: "cache", kind: Kind::Switch, default: "on", about: "shadow cache" },
         Opt { key: "cache-mb", kind: Kind::Integer(1, 4096), default: "64", about: "most memory of the cache" },
         Opt {
@@ -65,8 +86,25 @@ pub const PLUGIN: Plugin<MakeSampler> = Plugin {
             about: "least side of a cache block, pixels",
         },
     ],
-    make: |dome, params, setup| Ok(Box::new(Tessellated::new(dome, params, setup)?)),
+    make,
 };
+
+fn make(dome: &Arc<Dome>, params: &Params, setup: &Setup) -> Result<Box<dyn DomeSampler>> {
+    if params.word("mode") == "full" {
+        return Ok(Box::new(Tessellated::new(dome, params, setup)));
+    }
+    if params.integer("groups").is_some() {
+        return Err(Error::Option("sampler tessellated: mode=seed has no groups; leave the option out".into()));
+    }
+    Ok(Box::new(Seed::new(dome, params, setup)))
+}
+
+/// The cache that the options ask for.
+fn shadow_cache(params: &Params, setup: &Setup, groups: usize) -> Option<ShadowCache> {
+    let budget = params.integer("cache-mb").expect("the option has a default") << 20;
+    let least = params.integer("cache-block").expect("the option has a default") as u32;
+    params.switch("cache").then(|| ShadowCache::new(setup.size, groups, budget, least))
+}
 
 /// The sampler, prepared for one dome.
 #[derive(Debug)]
@@ -76,26 +114,28 @@ pub struct Tessellated {
     texels: Texels,
     /// For `pdf`: where on the curve a cell stands, and its leaf slot; empty without gloss.
     places: Vec<(u32, u32)>,
-    cache: Option<ShadowCache>,
+    memory: Memory,
+    normals: Normals,
     /// The groups as each cell of normals sees them; empty without a cache.
     table: Vec<Irradiance>,
     /// What surfaces are expected to receive; empty without a cache.
     expected: Expected,
-    /// Whether a stage has ended, so that the cache has something to say.
-    warm: bool,
     /// Never the same for two samplers or two stages: what was made for another is made anew.
     version: u64,
     prepare_s: f64,
 }
 
+/// Cells of normals where nothing is said.
+const NORMALS: u64 = 2304;
+
 /// The groups as every cell of normals sees them.
-fn irradiances(triangles: &Preconvolution) -> Vec<Irradiance> {
+fn irradiances(triangles: &Preconvolution, normals: Normals) -> Vec<Irradiance> {
     let make = |cell| {
         let mut irradiance = Irradiance::default();
-        dispatch(Sweep { triangles, aim: Aim::of_cell(cell), notable: 0.0, parts: true, irradiance: &mut irradiance });
+        dispatch(Sweep { triangles, aim: normals.aim(cell), notable: 0.0, parts: true, irradiance: &mut irradiance });
         irradiance
     };
-    (0..normals::CELLS).into_par_iter().map(make).collect()
+    (0..normals.count()).into_par_iter().map(make).collect()
 }
 
 /// A texel with more than so many times the light of all others leaves single precision no digits for them.
@@ -118,14 +158,6 @@ fn is_tame(dome: &Dome) -> bool {
     (1e-30..1e36).contains(&brightest) && (rest == 0.0 || most <= MOST_CONTRAST * rest)
 }
 
-/// The record that a point reads. One look-up's jitter a pixel: its samples then share their weights.
-fn read<'a>(cache: &'a ShadowCache, point: &Point) -> Option<Record<'a>> {
-    let jitter = random::combine(point.numbers.seed, 0x5ad0);
-    let [a, b, c] = [jitter, random::mix(jitter), random::mix(jitter ^ 0x9e37_79b9)].map(random::unit);
-    let key = ShadowCache::key(point.ng, point.distance, c - 0.5);
-    cache.find(point.pixel, key, [a - 0.5, b - 0.5])
-}
-
 /// A number that was not given out before; never 0.
 fn next_version() -> u64 {
     static LAST: AtomicU64 = AtomicU64::new(0);
@@ -133,7 +165,7 @@ fn next_version() -> u64 {
 }
 
 impl Tessellated {
-    fn new(dome: &Arc<Dome>, params: &Params, setup: &Setup) -> Result<Self> {
+    fn new(dome: &Arc<Dome>, params: &Params, setup: &Setup) -> Self {
         let start = Instant::now();
         let cells = DomeCells::new(Arc::clone(dome));
         // Every group is weighed at every point: as many as its rays can pay for.
@@ -153,36 +185,19 @@ impl Tessellated {
                 }
             }
         }
-        let budget = params.integer("cache-mb").expect("the option has a default") << 20;
-        let least = params.integer("cache-block").expect("the option has a default") as u32;
-        let cache = (params.switch("cache") && is_tame(dome))
-            .then(|| ShadowCache::new(setup.size, preconvolved.groups.x.len(), budget, least));
-        let table = if cache.is_some() { irradiances(&preconvolved) } else { Vec::new() };
+        let cache = is_tame(dome).then(|| shadow_cache(params, setup, preconvolved.groups.x.len())).flatten();
+        let normals = Normals::new(params.integer("normals").unwrap_or(NORMALS) as usize);
+        let table = if cache.is_some() { irradiances(&preconvolved, normals) } else { Vec::new() };
         let expected = if cache.is_some() { Expected::new(&preconvolved) } else { Expected::default() };
+        let (memory, triangles) = (Memory::new(cache), preconvolved);
         let prepare_s = start.elapsed().as_secs_f64();
-        let version = next_version();
-        let triangles = preconvolved;
-        Ok(Self { cells, triangles, texels, places, cache, table, expected, warm: false, version, prepare_s })
-    }
-
-    /// The record a point reads, and the target its rays are counted towards.
-    fn consult(&self, point: &Point, out: &mut Draws) -> (Option<Record<'_>>, u32) {
-        let Some(cache) = &self.cache else { return (None, NO_TARGET) };
-        let target = cache.admit(point.pixel, ShadowCache::key(point.ng, point.distance, 0.0));
-        if !self.warm {
-            return (None, target);
-        }
-        let record = read(cache, point);
-        out.lookups += 1;
-        out.found += u64::from(record.is_some());
-        (record, target)
+        Self { cells, triangles, texels, places, memory, normals, table, expected, version: next_version(), prepare_s }
     }
 
     /// Goes by what the cache has counted from now on.
     fn warm_up(&mut self) {
-        if let Some(cache) = &self.cache {
+        if let Some(cache) = self.memory.cache() {
             self.expected.learn(cache);
-            self.warm = true;
             self.version = next_version();
         }
     }
@@ -200,7 +215,7 @@ impl Tessellated {
         }
         if target != NO_TARGET {
             targets.extend(block.group[..count].iter().map(|group| target + group));
-        } else if self.cache.is_some() {
+        } else if self.learns() {
             targets.resize(targets.len() + count, NO_TARGET);
         }
     }
@@ -209,12 +224,12 @@ impl Tessellated {
 impl DomeSampler for Tessellated {
     fn draw(&self, point: &Point, n: u32, out: &mut Draws) {
         out.clear();
-        let (record, target) = self.consult(point, out);
+        let (record, target) = self.memory.consult(point, out);
         let Self { triangles, version, .. } = self;
         let purpose = |aim, record| Purpose { version: *version, aim, rays: n, record };
         let weights = match record {
             Some(Record { slot, visibility }) => {
-                let irradiance = &self.table[normals::cell_of(point.ns)];
+                let irradiance = &self.table[self.normals.cell(point.ns)];
                 let purpose = purpose(irradiance.aim, Some(slot));
                 out.prepared.memo.get(&purpose, |weights| {
                     dispatch(WeighLearned { triangles, irradiance, purpose, visibility, weights })
@@ -236,7 +251,7 @@ impl DomeSampler for Tessellated {
         }
         for first in (0..n).step_by(BLOCK) {
             let count = (n - first).min(BLOCK as u32) as usize;
-            let Prepared { memo, block } = &mut out.prepared;
+            let Prepared { memo, block, .. } = &mut out.prepared;
             dispatch(Descend {
                 sampler: self,
                 weights: memo.current(),
@@ -280,61 +295,45 @@ impl DomeSampler for Tessellated {
     }
 
     fn learns(&self) -> bool {
-        self.cache.is_some()
+        self.memory.cache().is_some()
     }
 
     fn expects(&self) -> bool {
-        self.warm
+        self.memory.is_warm()
     }
 
     fn expected(&self, point: &Point) -> Vec3 {
-        let record = self.cache.as_ref().and_then(|cache| read(cache, point));
-        self.expected.irradiance(record.map(|record| record.slot), ShadowCache::axis(point.ng), point.ns)
+        let slot = self.memory.read(point).map(|record| record.slot);
+        self.expected.irradiance(slot, ShadowCache::axis(point.ng), point.ns)
     }
 
     fn tile_multiple(&self) -> u32 {
-        self.cache.as_ref().map_or(1, ShadowCache::block)
+        self.memory.tile_multiple()
     }
 
     fn observe(&self, targets: &[u32], occluded: &[u8]) {
-        if let Some(cache) = &self.cache {
-            for (&target, &occluded) in targets.iter().zip(occluded) {
-                if target != NO_TARGET {
-                    cache.count(target, occluded);
-                }
-            }
-        }
+        self.memory.observe(targets, occluded);
     }
 
     fn next_stage(&mut self) {
-        if let Some(cache) = &mut self.cache {
-            cache.freeze();
-            self.warm_up();
-        }
+        self.memory.freeze();
+        self.warm_up();
     }
 
     fn save(&self, out: &mut dyn Write) -> io::Result<()> {
-        let Some(cache) = &self.cache else { return Ok(()) };
-        out.write_all(&[self.warm.into()])?;
-        cache.save(out)
+        self.memory.save(out)
     }
 
     fn restore(&mut self, input: &mut dyn Read) -> io::Result<()> {
-        let Some(cache) = &mut self.cache else { return Ok(()) };
-        let mut warm = [0];
-        input.read_exact(&mut warm)?;
-        cache.restore(input)?;
-        if warm != [0] {
+        self.memory.restore(input)?;
+        if self.memory.is_warm() {
             self.warm_up();
         }
         Ok(())
     }
 
     fn tally(&self, draws: &mut Draws) {
-        if let Some(cache) = &self.cache {
-            cache.tally(draws.lookups, draws.found);
-            (draws.lookups, draws.found) = (0, 0);
-        }
+        self.memory.tally(draws);
     }
 
     fn stats(&self) -> SamplerStats {
@@ -346,10 +345,7 @@ impl DomeSampler for Tessellated {
             triangles: self.texels.leaves.iter().filter(|leaf| leaf.end > leaf.begin).count() as u64,
             groups: self.triangles.group_count as u64,
             bytes: bytes as u64,
-            cache: self.cache.as_ref().map(|cache| {
-                let (records, bytes, hit_rate) = cache.stats();
-                CacheStats { records, bytes, hit_rate }
-            }),
+            cache: self.memory.stats(),
         }
     }
 }
@@ -364,7 +360,7 @@ mod tests {
 
     fn sampler(dome: &Arc<Dome>, spec: &str) -> Tessellated {
         let (_, params) = resolve("sampler", &[PLUGIN], spec).unwrap();
-        Tessellated::new(dome, &params, &Setup { size: [64, 64], gloss: true, rays: 64 }).unwrap()
+        Tessellated::new(dome, &params, &Setup { size: [64, 64], gloss: true, rays: 64 })
     }
 
     fn point(ns: Vec3, seed: u32) -> Point {

@@ -85,7 +85,7 @@ impl Tessellation {
         // Groups: a cell of the cache must be small where the light is, but darkness, too, wants its share: what lies
         // in the sun's shadow is lit by the rest.
         let group_priority = |node: &Node| (node.energy / total).sqrt() * solid_angle(node).sqrt();
-        let grow = Grow { cells, scratch: &mut scratch, order: &mut order };
+        let grow = Grow { cells, scratch: &mut scratch, order: &mut order, covering: false };
         let mut nodes = grow.run(faces, groups, usize::MAX, group_priority);
         for (i, node) in nodes.iter_mut().enumerate() {
             node.group = i;
@@ -93,9 +93,24 @@ impl Tessellation {
 
         // Leaves: the cosine's variance inside a triangle goes with its solid angle.
         let leaf_priority = |node: &Node| (node.energy / total).sqrt() * solid_angle(node);
-        let grow = Grow { cells, scratch: &mut scratch, order: &mut order };
+        let grow = Grow { cells, scratch: &mut scratch, order: &mut order, covering: false };
         let nodes = grow.run(nodes, triangles, LEAVES_A_GROUP, leaf_priority);
 
+        Self::of(nodes, order)
+    }
+
+    /// Covers the whole sphere with at most `triangles` triangles, each its own group. Every cell must have light.
+    pub fn covering(cells: &impl Cells, triangles: usize) -> Self {
+        let (mut order, faces) = sort_into_faces(cells);
+        let grow = Grow { cells, scratch: &mut Vec::new(), order: &mut order, covering: true };
+        let mut nodes = grow.run(faces, triangles, usize::MAX, |node| (node.energy * solid_angle(node)).sqrt());
+        for (i, node) in nodes.iter_mut().enumerate() {
+            node.group = i;
+        }
+        Self::of(nodes, order)
+    }
+
+    fn of(nodes: Vec<Node>, order: Vec<u32>) -> Self {
         let mut result = Self { cells: order, ..Self::default() };
         for node in nodes {
             if result.groups.len() <= node.group {
@@ -114,6 +129,8 @@ struct Grow<'a, C> {
     cells: &'a C,
     order: &'a mut [u32],
     scratch: &'a mut Vec<u32>,
+    /// Whether every part of the sphere is to stay in a triangle: then none is split off that holds no cell's centre.
+    covering: bool,
 }
 
 impl<C: Cells> Grow<'_, C> {
@@ -137,8 +154,12 @@ impl<C: Cells> Grow<'_, C> {
                 continue;
             }
             let parent = nodes[node].clone();
+            let halves = split(self.cells, self.order, self.scratch, &parent);
+            if self.covering && halves.iter().any(|half| half.cells.is_empty()) {
+                continue;
+            }
             let mut slots = [None; 2];
-            for (slot, child) in slots.iter_mut().zip(split(self.cells, self.order, self.scratch, &parent)) {
+            for (slot, child) in slots.iter_mut().zip(halves) {
                 if !child.cells.is_empty() {
                     *slot = Some(nodes.len());
                     heap.push(Queued { priority: priority(&child), node: nodes.len() });

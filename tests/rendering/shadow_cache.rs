@@ -230,6 +230,15 @@ fn a_cache_of_random_numbers() {
     assert_unbiased("random", 2, |sampler, dome, seed| toss(&stage, sampler, dome, seed));
 }
 
+/// The sketch's form has no control variate, but the same cache.
+#[test]
+fn the_sketchs_form_while_it_learns() {
+    let (stage, dome) = (Stage::new(occluders()), sun());
+    let spec = "tessellated:seed,cache-block=4";
+    let picture = take(&stage.shot(&dome, 16, 8), 0, || sampler(spec, &dome, 8), |_, _| ());
+    assert_same("the sketch's form", &picture, &BRUTE_FORCE);
+}
+
 #[test]
 fn uniform_directions_agree_under_a_soft_sky() {
     let (stage, dome) = (Stage::new(occluders()), soft());

@@ -7,11 +7,12 @@
 
 use glam::Vec3;
 
-/// Cells along a side of the octahedron's square.
-const SIDE: usize = 48;
-
-/// How many cells there are.
-pub(super) const CELLS: usize = SIDE * SIDE;
+/// The grid.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Normals {
+    /// Cells along a side of the octahedron's square.
+    side: usize,
+}
 
 /// A normal, and how far from it the normals of the points may be, radians.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -27,26 +28,38 @@ impl Aim {
     pub(super) fn exact(normal: Vec3) -> Self {
         Self { axis: normal, radius: 0.0 }
     }
+}
+
+impl Normals {
+    /// At most `most` cells.
+    pub(super) fn new(most: usize) -> Self {
+        Self { side: most.isqrt() }
+    }
+
+    /// How many cells there are.
+    pub(super) fn count(self) -> usize {
+        self.side * self.side
+    }
 
     /// The normals of a cell.
-    pub(super) fn of_cell(cell: usize) -> Self {
-        let at = |x: f32, y: f32| {
-            from_square([(cell % SIDE) as f32 + x, (cell / SIDE) as f32 + y].map(|x| x * (2.0 / SIDE as f32) - 1.0))
-        };
+    pub(super) fn aim(self, cell: usize) -> Aim {
+        let (column, row) = ((cell % self.side) as f32, (cell / self.side) as f32);
+        let at = |x: f32, y: f32| from_square([column + x, row + y].map(|x| x * (2.0 / self.side as f32) - 1.0));
         let axis = at(0.5, 0.5);
         // What is furthest lies on the edge. Between the places tried it is further by a hundredth at most.
         let steps = (0..=8).map(|i| i as f32 / 8.0);
         let edge = steps.flat_map(|t| [at(t, 0.0), at(t, 1.0), at(0.0, t), at(1.0, t)]);
         let chord = edge.map(|n| (n - axis).length()).fold(0.0, f32::max);
-        Self { axis, radius: 2.0 * (0.5 * chord).asin() * 1.01 }
+        Aim { axis, radius: 2.0 * (0.5 * chord).asin() * 1.01 }
     }
-}
 
-/// The cell of a normal.
-#[inline]
-pub(super) fn cell_of(normal: Vec3) -> usize {
-    let [u, v] = to_square(normal).map(|x| (((x + 1.0) * (0.5 * SIDE as f32)) as usize).min(SIDE - 1));
-    v * SIDE + u
+    /// The cell of a normal.
+    #[inline]
+    pub(super) fn cell(self, normal: Vec3) -> usize {
+        let place = |x: f32| (((x + 1.0) * (0.5 * self.side as f32)) as usize).min(self.side - 1);
+        let [u, v] = to_square(normal).map(place);
+        v * self.side + u
+    }
 }
 
 /// The octahedron unfolded: (x, y) of the upper half inside the diamond, of the lower half in the square's corners.
@@ -72,13 +85,14 @@ mod tests {
 
     #[test]
     fn no_normal_is_further_from_its_axis_than_the_radius() {
+        let normals = Normals::new(2304);
         let mut most = 0.0f32;
         for i in 0..1_000_000 {
             let [u, v] = random::sobol2(i, 7).map(random::unit);
             let (z, phi) = (2.0 * u - 1.0, std::f32::consts::TAU * v);
             let ring = (1.0 - z * z).sqrt();
             let normal = Vec3::new(ring * phi.cos(), ring * phi.sin(), z);
-            let aim = Aim::of_cell(cell_of(normal));
+            let aim = normals.aim(normals.cell(normal));
             most = most.max(2.0 * (0.5 * (aim.axis - normal).length()).asin() / aim.radius);
         }
         assert!(most < 1.0 && most > 0.95, "{most} of the radius");

@@ -49,6 +49,11 @@ pub(crate) fn normals(count: usize) -> Vec<Vec3> {
     list
 }
 
+/// Every sampler that is sound alone.
+pub(crate) fn sound() -> impl Iterator<Item = &'static str> {
+    SAMPLERS.iter().map(|plugin| plugin.name).chain(["tessellated:seed"])
+}
+
 /// A sampler by its specification.
 pub(crate) fn sampler(spec: &str, dome: &Arc<Dome>, rays: u32) -> Box<dyn DomeSampler> {
     let (plugin, params) = resolve("sampler", SAMPLERS, spec).unwrap();

@@ -1,0 +1,98 @@
+//! The shadow cache as a sampler lives with it: cold in the first stage, frozen within each later one.
+
+use crate::random;
+use crate::sampler::shadow_cache::{NO_TARGET, Record, ShadowCache};
+use crate::sampler::{CacheStats, Draws, Point};
+use std::io::{self, Read, Write};
+
+/// A cache, if there is one, and whether it has anything to say.
+#[derive(Debug)]
+pub(super) struct Memory {
+    cache: Option<ShadowCache>,
+    warm: bool,
+}
+
+impl Memory {
+    pub(super) fn new(cache: Option<ShadowCache>) -> Self {
+        Self { cache, warm: false }
+    }
+
+    pub(super) fn cache(&self) -> Option<&ShadowCache> {
+        self.cache.as_ref()
+    }
+
+    /// Whether a stage has ended.
+    pub(super) fn is_warm(&self) -> bool {
+        self.warm
+    }
+
+    /// The record that a point reads. One look-up's jitter a pixel: its samples then share their weights.
+    pub(super) fn read(&self, point: &Point) -> Option<Record<'_>> {
+        let cache = self.cache.as_ref().filter(|_| self.warm)?;
+        let jitter = random::combine(point.numbers.seed, 0x5ad0);
+        let [a, b, c] = [jitter, random::mix(jitter), random::mix(jitter ^ 0x9e37_79b9)].map(random::unit);
+        let key = ShadowCache::key(point.ng, point.distance, c - 0.5);
+        cache.find(point.pixel, key, [a - 0.5, b - 0.5])
+    }
+
+    /// The record a point reads, and the target its rays are counted towards.
+    pub(super) fn consult(&self, point: &Point, out: &mut Draws) -> (Option<Record<'_>>, u32) {
+        let Some(cache) = &self.cache else { return (None, NO_TARGET) };
+        let target = cache.admit(point.pixel, ShadowCache::key(point.ng, point.distance, 0.0));
+        let record = self.read(point);
+        out.lookups += u64::from(self.warm);
+        out.found += u64::from(record.is_some());
+        (record, target)
+    }
+
+    pub(super) fn observe(&self, targets: &[u32], occluded: &[u8]) {
+        if let Some(cache) = &self.cache {
+            for (&target, &occluded) in targets.iter().zip(occluded) {
+                if target != NO_TARGET {
+                    cache.count(target, occluded);
+                }
+            }
+        }
+    }
+
+    /// Ends a stage.
+    pub(super) fn freeze(&mut self) {
+        if let Some(cache) = &mut self.cache {
+            cache.freeze();
+            self.warm = true;
+        }
+    }
+
+    pub(super) fn save(&self, out: &mut dyn Write) -> io::Result<()> {
+        let Some(cache) = &self.cache else { return Ok(()) };
+        out.write_all(&[self.warm.into()])?;
+        cache.save(out)
+    }
+
+    pub(super) fn restore(&mut self, input: &mut dyn Read) -> io::Result<()> {
+        let Some(cache) = &mut self.cache else { return Ok(()) };
+        let mut warm = [0];
+        input.read_exact(&mut warm)?;
+        self.warm = warm != [0];
+        cache.restore(input)
+    }
+
+    /// Takes over what `draws` counted.
+    pub(super) fn tally(&self, draws: &mut Draws) {
+        if let Some(cache) = &self.cache {
+            cache.tally(draws.lookups, draws.found);
+            (draws.lookups, draws.found) = (0, 0);
+        }
+    }
+
+    pub(super) fn tile_multiple(&self) -> u32 {
+        self.cache.as_ref().map_or(1, ShadowCache::block)
+    }
+
+    pub(super) fn stats(&self) -> Option<CacheStats> {
+        self.cache.as_ref().map(|cache| {
+            let (records, bytes, hit_rate) = cache.stats();
+            CacheStats { records, bytes, hit_rate }
+        })
+    }
+}
