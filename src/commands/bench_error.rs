@@ -12,6 +12,7 @@ mod report;
 mod study;
 
 use super::input::{Input, size};
+use super::memory::{Estimate, there};
 use super::values::{positive, whole};
 use anyhow::{Context, Result};
 use clap::builder::PossibleValuesParser;
@@ -19,10 +20,10 @@ use domelight::accel::ACCELS;
 use domelight::dome;
 use domelight::integrator::INTEGRATORS;
 use domelight::output::check_writable;
-use domelight::registry::resolve;
+use domelight::registry::{Params, resolve};
 use domelight::render::Background;
 use domelight::sampler::SAMPLERS;
-use domelight::scene::{self, View};
+use domelight::scene::{Asset, View};
 use glam::Vec3;
 use measure::Bench;
 use reference::Reference;
@@ -90,15 +91,14 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<u8> {
     let samplers = args.samplers();
-    for spec in samplers.iter().chain([&args.reference_sampler]) {
-        resolve("sampler", SAMPLERS, spec)?;
-    }
+    let params = |spec: &String| resolve("sampler", SAMPLERS, spec).map(|(_, params)| params);
+    let params = samplers.iter().chain([&args.reference_sampler]).map(params).collect::<Result<Vec<_>, _>>()?;
     for path in [&args.csv, &args.json, &args.svg, &args.html, &args.save_reference].into_iter().flatten() {
         check_writable(path)?;
     }
     let threads = args.threads.map_or_else(|| std::thread::available_parallelism().map_or(1, usize::from), usize::from);
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("starting threads")?;
-    let bench = load(args, threads)?;
+    let bench = load(args, &params, threads)?;
     let reference = reference(args, &bench)?;
     say!("reference  {}", reference.about);
 
@@ -140,10 +140,20 @@ impl Args {
     }
 }
 
-fn load(args: &Args, threads: usize) -> Result<Bench> {
-    let scene = Arc::new(scene::load(&args.input.scene_file, &args.input.load_options())?);
-    let dome = Arc::new(dome::load::load(&args.input.dome, args.input.dome_rotate, args.input.dome_scale)?);
+fn load(args: &Args, samplers: &[Params], threads: usize) -> Result<Bench> {
+    let asset = Asset::open(&args.input.scene_file)?;
     let (make_accel, accel_params) = resolve("accelerator", ACCELS, &args.accel)?;
+    // They take turns: each must find room.
+    for sampler in samplers {
+        Estimate::default()
+            .scene(&asset, &args.input.load_options(), &[&accel_params])?
+            .dome(&args.input.dome, sampler)?
+            .film(args.size, false, true)
+            .within(&args.input.scene_file, threads, there())?;
+    }
+    let scene = Arc::new(asset.load(&args.input.load_options())?);
+    drop(asset);
+    let dome = Arc::new(dome::load::load(&args.input.dome, args.input.dome_rotate, args.input.dome_scale)?);
     let accel = (make_accel.make)(&scene, &accel_params, threads)?;
     let (make_integrator, params) = resolve("integrator", INTEGRATORS, INTEGRATORS[0].name)?;
     let [width, height] = args.size;

@@ -5,6 +5,7 @@ mod canvas;
 mod maps;
 
 use super::input::vector;
+use super::memory::{Estimate, there};
 use anyhow::{Context, Result, bail};
 use canvas::Canvas;
 use domelight::dome::{self, Dome};
@@ -39,6 +40,7 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     if let Some(dir) = &args.out_dir {
         std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, e))?;
     }
+    Estimate::default().dome(&args.dome, &params)?.within(&args.dome, rayon::current_num_threads(), there())?;
     let dome = Arc::new(dome::load::load(&args.dome, 0.0, 1.0)?);
     // With gloss, so that densities can be asked for.
     let sampler = (plugin.make)(&dome, &params, &Setup { size: [64, 64], gloss: true, rays: 16 })?;

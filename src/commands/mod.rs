@@ -5,6 +5,7 @@ pub(crate) mod bench_rays;
 pub(crate) mod compare;
 pub(crate) mod input;
 pub(crate) mod inspect;
+pub(crate) mod memory;
 pub(crate) mod plugins;
 pub(crate) mod render;
 pub(crate) mod values;

@@ -1,13 +1,13 @@
 //! `domelight render`: an asset and a dome become images.
 
 mod args;
-mod memory;
 mod progress;
 mod report;
 mod resume;
 
 pub(crate) use args::Args;
 
+use super::memory::{Estimate, there};
 use anyhow::{Context, Result, bail};
 use domelight::accel::ACCELS;
 use domelight::checkpoint::Checkpoint;
@@ -45,7 +45,13 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     let mut times = Times::default();
     let clock = Instant::now();
     let asset = Asset::open(&args.input.scene_file)?;
-    memory::check(args, &asset, &settings, [&accel_params, &sampler_params], threads)?;
+    let [_, _, width, height] = settings.crop;
+    let machine = || (there().0, "this machine and its limits (--max-memory overrides them)");
+    Estimate::default()
+        .scene(&asset, &args.input.load_options(), &[&accel_params])?
+        .dome(&args.input.dome, &sampler_params)?
+        .film([width, height], settings.aovs, settings.variance)
+        .within(&args.input.scene_file, threads, args.max_memory.map_or_else(machine, |most| (most, "--max-memory")))?;
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("starting threads")?;
     let scene = Arc::new(asset.load(&args.input.load_options())?);
     drop(asset);

@@ -62,10 +62,14 @@ pub(super) fn flatten(asset: &Asset, choice: Option<&SceneChoice>, warnings: &mu
                     let world = out.world[i];
                     // Many nodes may name one list of copies: what they come to may be more than there is.
                     let total = out.placements.len() + copies.len();
-                    if total > MOST_COPIES || out.placements.try_reserve(copies.len()).is_err() {
+                    if total > MOST_COPIES {
                         return Err(asset.error(format!(
-                            "nodes[{i}] makes {total} copies in all; at most {MOST_COPIES} are read, as memory allows: \
-                             split the file"
+                            "nodes[{i}] makes {total} copies in all; at most {MOST_COPIES} are read: split the file"
+                        )));
+                    }
+                    if out.placements.try_reserve(copies.len()).is_err() {
+                        return Err(asset.error(format!(
+                            "nodes[{i}] makes {total} copies in all, more than memory holds: split the file"
                         )));
                     }
                     out.placements.extend(copies.into_iter().map(|c| Placement { node: i, mesh, world: world * c }));

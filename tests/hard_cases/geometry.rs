@@ -383,7 +383,7 @@ fn empty_meshes_and_an_empty_scene_show_the_dome() {
 
 /// Goes wrong with: an index of a triangle held in a float, which has 24 bits.
 #[test]
-#[ignore = "minutes and 6 GB: cargo test --release --test hard_cases -- --ignored"]
+#[ignore = "half a minute and 2.2 GB: cargo test --release --test hard_cases -- --ignored"]
 fn more_than_two_to_the_24_triangles_in_one_mesh() {
     let side = 2900u32;
     let mesh = sheet(side, side, |u, v| DVec3::new(u - 0.5, 0.0, 0.5 - v).as_vec3());

@@ -99,6 +99,21 @@ fn every_parameter_at_its_ends() {
     }
 }
 
+/// Goes wrong with: an index of 1 that still reflects, one of 0 or of a mirror that divides by nothing or gains light.
+/// Black and smooth, seen along its normal, a surface reflects ((ior − 1) / (ior + 1))² of a white sky.
+#[test]
+fn the_index_of_refraction_at_its_ends() {
+    for (ior, exact) in [(1.0, 0.0), (1.5, 0.04), (1e9, 1.0), (0.0, 1.0)] {
+        let material = Material { base_color: base(0.0), metallic: 0.0, roughness: 0.0, ior, ..Material::default() };
+        for sampler in ["tessellated", "latlong"] {
+            let (mean, error) = seen(&material, &furnace(), 0.0, Shot { sampler, spp: 32, ..Shot::default() });
+            let off = (mean.x - exact).abs();
+            assert!(off <= 4.5 * error.x + 1e-4, "ior {ior}, {sampler}: {mean} ± {error} is not {exact}");
+            assert!(error.x < 0.01, "ior {ior}, {sampler}: ± {error} says nothing");
+        }
+    }
+}
+
 /// Goes wrong with: a black that is not 0, a colour above 1 that is clamped or squared.
 #[test]
 fn light_is_linear_in_the_base_colour() {

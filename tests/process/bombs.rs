@@ -2,43 +2,43 @@
 //! that fails would abort the process) and a minute of processor time.
 
 use crate::gltf::{Builder, triangle};
-use crate::support::repo;
+use crate::support::{limited, repo};
 use serde_json::json;
 use std::path::Path;
-use std::process::Command;
 
 const MOST_KIB: u64 = 4 << 20;
 
-/// What a render of `scene` under `dome` with `options` says; it must be refused.
-fn refused(scene: &Path, dome: &Path, options: &[&str]) -> String {
+/// What the program says of these arguments; it must refuse them.
+fn refused(arguments: &[&str]) -> String {
     let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().join("out.exr");
-    let output = Command::new("bash")
-        .args(["-c", "ulimit -v $0; ulimit -t 60; exec \"$@\"", &MOST_KIB.to_string()])
-        .arg(assert_cmd::cargo::cargo_bin("domelight"))
-        .arg("render")
-        .arg(scene)
-        .arg("--dome")
-        .arg(dome)
-        .arg("-o")
-        .arg(&out)
-        .args(["--spp", "1", "--threads", "2"])
-        .args(options)
-        .output()
-        .unwrap();
+    let mut command = limited(&format!("ulimit -v {MOST_KIB}; ulimit -t 60; exec"));
+    let output = command.args(arguments).current_dir(folder.path()).output().unwrap();
     let error = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(2), "{error}");
-    assert!(error.starts_with("domelight: ") && !error.contains("panicked"), "{error}");
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
+    assert!(error.starts_with("domelight: ") && !error.contains("panicked"), "{arguments:?}: {error}");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "something was left behind");
     error
 }
 
+fn render_refused(scene: &Path, dome: &Path, size: &str) -> String {
+    let [scene, dome] = [scene, dome].map(|path| path.to_str().unwrap());
+    refused(&["render", scene, "--dome", dome, "--size", size, "--spp", "1", "--threads", "2", "-o", "out.exr"])
+}
+
+/// Every command that reads scenes refuses this one.
 fn scene_says(b: &Builder, says: &str) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bomb.glb");
     std::fs::write(&path, b.glb()).unwrap();
-    let error = refused(&path, &repo("scenes/window.exr"), &["--size", "32x24"]);
-    assert!(error.contains("bomb.glb") && error.contains(says), "should say '{says}': {error}");
+    let window = repo("scenes/window.exr");
+    let [scene, dome] = [&path, &window].map(|path| path.to_str().unwrap());
+    for error in [
+        render_refused(&path, &window, "32x24"),
+        refused(&["bench", "rays", scene, "--rays", "256", "--rounds", "1"]),
+        refused(&["bench", "error", scene, "--dome", dome, "--size", "32x24"]),
+    ] {
+        assert!(error.contains("bomb.glb") && error.contains(says), "should say '{says}': {error}");
+    }
 }
 
 /// A file with 100 000 triangles.
@@ -74,7 +74,7 @@ fn one_list_of_copies_named_by_thousands() {
     b.json["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = json!(position);
     let copies = json!({ "EXT_mesh_gpu_instancing": { "attributes": { "TRANSLATION": 0 } } });
     b.json["nodes"] = (0..5000).map(|_| json!({ "mesh": 0, "extensions": copies })).collect();
-    scene_says(&b, "copies in all");
+    scene_says(&b, "at most 16777216 are read");
     // Few enough to be listed, too many to be held.
     b.json["nodes"].as_array_mut().unwrap().truncate(20);
     scene_says(&b, "6000000 placements");
@@ -122,8 +122,9 @@ fn domes_and_films_larger_than_what_is_there() {
     let path = folder.path().join("large.hdr");
     std::fs::write(&path, hdr).unwrap();
     let sphere = repo("scenes/sphere.glb");
-    let error = refused(&sphere, &path, &["--size", "32x24"]);
-    assert!(error.contains("dome of 16384x16384"), "{error}");
-    let error = refused(&sphere, &repo("scenes/window.exr"), &["--size", "16384x16384"]);
+    for error in [render_refused(&sphere, &path, "32x24"), refused(&["inspect", path.to_str().unwrap()])] {
+        assert!(error.contains("dome of 16384x16384"), "{error}");
+    }
+    let error = render_refused(&sphere, &repo("scenes/window.exr"), "16384x16384");
     assert!(error.contains("film of 16384x16384"), "{error}");
 }

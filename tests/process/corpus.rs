@@ -1,10 +1,10 @@
 //! Damaged files by the hundred through the program itself, under a limit of memory and of time: a picture or a clear
 //! error, never anything else. Our own mutator: bit flips, truncations, splices, and edits of the JSON.
 
-use crate::support::repo;
+use crate::support::{limited, repo};
 use domelight::random::hash;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 /// Most address space, KiB, and most seconds.
@@ -26,11 +26,7 @@ impl Tally {
     fn take(&mut self, name: &str, scene: &Path, dome: &Path, out: &Path) {
         let (error, stats) = (out.with_extension("err"), out.with_extension("mem"));
         let start = Instant::now();
-        // bash knows the limit; its `time` is not there on a bare machine, so the kernel is asked: VmHWM, at the end.
-        let script = "ulimit -v $1; shift; exec timeout -s KILL $0 \"$@\"";
-        let status = Command::new("bash")
-            .args(["-c", script, &SECONDS.to_string(), &MEMORY.to_string()])
-            .arg(assert_cmd::cargo::cargo_bin("domelight"))
+        let status = limited(&format!("ulimit -v {MEMORY}; exec timeout -s KILL {SECONDS}"))
             .arg("render")
             .arg(scene)
             .arg("--dome")

@@ -1,8 +1,7 @@
 //! `--max-memory`: the estimate lies above what is used, and not far; a render above the limit is refused before it
 //! allocates.
 
-use crate::support::{refused, render};
-use std::process::Command;
+use crate::support::{limited, refused, render};
 use std::time::Instant;
 
 /// Peak resident bytes of a render, by its own statistics.
@@ -64,9 +63,8 @@ fn what_does_not_fit_is_refused_by_its_parts() {
 #[cfg(target_os = "linux")]
 fn a_build_without_enough_memory_says_so() {
     let build = |accel: &str, mib: u32| {
-        let mut command = Command::new("sh");
-        command.args(["-c", "ulimit -v $0 && exec \"$@\"", &(mib << 10).to_string()]);
-        command.arg(env!("CARGO_BIN_EXE_domelight")).args(["bench", "rays", "--generate", "terrain:1M", "--threads=1"]);
+        let mut command = limited(&format!("ulimit -v {}; exec", mib << 10));
+        command.args(["bench", "rays", "--generate", "terrain:1M", "--threads=1"]);
         command.args(["--rays=256", "--rounds=1", "--accel", accel]).output().unwrap()
     };
     for accel in domelight::accel::ACCELS.iter().map(|plugin| plugin.name).filter(|name| *name != "brute") {

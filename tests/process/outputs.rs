@@ -1,6 +1,6 @@
 //! Places that can't be written to, and files that can't be read: nothing is lost but what had no room.
 
-use crate::support::{bits, domelight, refused, render, repo};
+use crate::support::{bits, domelight, limited, refused, render, repo};
 use std::fs::{self, File, Permissions};
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::Path;
@@ -15,9 +15,7 @@ fn count(folder: &Path) -> usize {
 
 /// A render that no file may grow beyond `kib` in, as on a full disk.
 fn confined(kib: u32, scene: &str, arguments: &[&str], folder: &Path) -> Output {
-    Command::new("bash")
-        .args(["-c", "trap '' XFSZ; ulimit -f $0; exec \"$@\"", &kib.to_string()])
-        .arg(assert_cmd::cargo::cargo_bin("domelight"))
+    limited(&format!("trap '' XFSZ; ulimit -f {kib}; exec"))
         .arg("render")
         .arg(repo(scene))
         .arg("--dome")

@@ -1,6 +1,7 @@
 //! The program, called.
 
 use assert_cmd::Command;
+use assert_cmd::cargo::cargo_bin;
 use domelight::output::read;
 use std::path::{Path, PathBuf};
 
@@ -18,6 +19,13 @@ pub(crate) fn domelight() -> Command {
 pub(crate) fn render(scene: &str, dome: &str) -> Command {
     let mut command = domelight();
     command.arg("render").arg(repo(scene)).arg("--dome").arg(repo(dome));
+    command
+}
+
+/// The program within limits that bash sets: `shell` ends in what becomes the program, such as `exec`.
+pub(crate) fn limited(shell: &str) -> std::process::Command {
+    let mut command = std::process::Command::new("bash");
+    command.args(["-c", &format!("{shell} \"$@\""), "bash"]).arg(cargo_bin("domelight"));
     command
 }
 

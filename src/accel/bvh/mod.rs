@@ -54,6 +54,9 @@ const GROWING: u64 = 32 + 140;
 /// … and in the forest that trees are copied to, where leaves are as good as full.
 const GROWN: u64 = 64;
 
+/// What takes less memory, where it is there.
+const SMALLER: &str = if cfg!(feature = "embree") { ", or --accel embree:compact=on" } else { "" };
+
 /// A shared mesh standing in the world.
 #[derive(Debug)]
 struct Placed {
@@ -219,7 +222,7 @@ impl World {
             if !pages::are_free(needed as usize) {
                 let mib = needed >> 20;
                 return Err(Error::Accel(format!(
-                    "bvh: out of memory: {mib} MiB more are needed to build: try a smaller scene, or --accel embree:compact=on"
+                    "bvh: out of memory: {mib} MiB more are needed to build: try a smaller scene{SMALLER}"
                 )));
             }
             let mut primitives = parts.primitives(instances);
@@ -260,7 +263,7 @@ impl World {
             tops[index] = (trees.len() > number).then_some(number);
         }
         if triangles + placed.len() as u64 >= u64::from(node::INSTANCE) {
-            return Err(Error::Accel("bvh: more than 2^30 triangles: use --accel embree".to_owned()));
+            return Err(Error::Accel("bvh: more than 2^30 triangles: try a smaller scene".to_owned()));
         }
         let held: u64 = trees.iter().map(Tree::bytes).sum();
         let (forest, roots) = build::join(trees);

@@ -8,14 +8,16 @@ mod measure;
 mod rays;
 mod report;
 
+use super::memory::{Estimate, there};
 use super::values::whole;
 use anyhow::{Context, bail};
 use domelight::accel::{self, ACCELS, Accel};
 use domelight::dome::{self, Dome};
-use domelight::scene::{self, LoadOptions, Scene};
+use domelight::registry::{Params, resolve};
+use domelight::scene::{Asset, LoadOptions, Scene};
 use measure::{KINDS, Sample};
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Rays that may be answered differently, of a million: edges seen exactly from the side.
@@ -85,9 +87,8 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     let mut counts = if args.threads.is_empty() { vec![1, most] } else { args.threads.clone() };
     counts.dedup();
     let specs = if args.accel.is_empty() { default_specs() } else { args.accel.clone() };
-    for spec in &specs {
-        domelight::registry::resolve("accelerator", ACCELS, spec)?;
-    }
+    let params = |spec: &String| resolve("accelerator", ACCELS, spec).map(|(_, params)| params);
+    let params = specs.iter().map(params).collect::<Result<Vec<_>, _>>()?;
     if args.scenes.is_empty() && args.generate.is_empty() {
         bail!("no scene: name a .gltf or .glb file, or --generate terrain:300k");
     }
@@ -105,7 +106,7 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     let names: Vec<String> = args.scenes.iter().map(|p| p.display().to_string()).collect();
     for (index, name) in names.iter().chain(&args.generate).enumerate() {
         let scene = match args.scenes.get(index) {
-            Some(path) => scene::load(path, &LoadOptions::default())?,
+            Some(path) => load(path, &params)?,
             None => generate::generate(name)?,
         };
         let (rows, same) = bench.scene(name, &Arc::new(scene))?;
@@ -119,6 +120,14 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
         std::process::exit(1);
     }
     Ok(())
+}
+
+/// A scene from a file, if it and all structures over it fit.
+fn load(path: &Path, accels: &[Params]) -> anyhow::Result<Scene> {
+    let (asset, options) = (Asset::open(path)?, LoadOptions::default());
+    let accels: Vec<&Params> = accels.iter().collect();
+    Estimate::default().scene(&asset, &options, &accels)?.within(path, rayon::current_num_threads(), there())?;
+    Ok(asset.load(&options)?)
 }
 
 /// Embree one ray a call (the bar) beside every structure as it is used.

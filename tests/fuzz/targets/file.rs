@@ -18,6 +18,15 @@ pub fn with_file(name: &str, bytes: &[u8], with: impl FnOnce(&Path)) {
     with(&path);
 }
 
+/// The dome in a file, if there is one, has texels that are finite and not negative.
+#[allow(dead_code, reason = "the scenes' target reads none")]
+pub fn check_dome(path: &Path) {
+    if let Ok(dome) = domelight::dome::load(path, 0.0, 1.0) {
+        assert_eq!(dome.texels.len(), dome.grid.len());
+        assert!(dome.texels.iter().flatten().all(|v| v.is_finite() && *v >= 0.0));
+    }
+}
+
 /// The decoders' panics are caught where they are called; the fuzzer's own hook would end the process before that.
 pub fn let_panics_be_caught() {
     std::panic::set_hook(Box::new(|info| eprintln!("{info}")));
