@@ -142,9 +142,9 @@ fn beside_a_sun_of_999_permille_dim_texels_are_drawn() {
     }
 }
 
-/// The same at full size: 33 million texels, 2 GB of memory.
+/// The same at full size: 33 million texels.
 #[test]
-#[ignore = "half a minute in release: cargo test --release --test hard_cases -- --ignored"]
+#[ignore = "six minutes of processor time and 1.5 GB: cargo test --test hard_cases -- --ignored"]
 fn beside_a_sun_of_999_permille_dim_texels_of_8192_by_4096_are_drawn() {
     for spec in ["tessellated:cache=off", "latlong"] {
         dim_regions_get_their_share(spec, 8192, 4096, 1 << 22);

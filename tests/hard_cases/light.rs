@@ -117,8 +117,10 @@ fn a_sun_on_the_horizon() {
             let side = a * turn.cos() + b * turn.sin();
             let n = (side + sun * tilt * 3.0 / height as f32).normalize();
             let exact = 1e4 * irradiance(&dome.grid, at, n) / PI;
-            let shot = Shot { spp: 256, rays: 16, ..Shot::default() };
-            check(&format!("{width}×{height}, {tilt}, {turn}"), shot, &dome, n, &[], exact);
+            for sampler in ["tessellated", "tessellated:cache=off"] {
+                let shot = Shot { sampler, spp: 256, rays: 16, ..Shot::default() };
+                check(&format!("{width}×{height}, {tilt}, {turn}, {sampler}"), shot, &dome, n, &[], exact);
+            }
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Numerical hard cases: each test names what would go wrong. Means are held against closed forms or brute force.
 //!
-//! `cargo test --release --test hard_cases -- --ignored` runs the largest: 16.8 million triangles in one mesh, a dome of
+//! `cargo test --test hard_cases -- --ignored` runs the largest: 16.8 million triangles in one mesh, a dome of
 //! 8192 × 4096.
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]

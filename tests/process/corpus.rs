@@ -130,7 +130,7 @@ fn mutated(good: &[u8], other: &[u8], seed: u32) -> Vec<u8> {
 }
 
 #[test]
-#[ignore = "ten minutes: cargo test --release --test process -- --ignored corpus"]
+#[ignore = "half a minute: cargo test --test process -- --ignored corpus"]
 fn a_corpus_of_600_mutated_files() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out.exr");
@@ -173,7 +173,7 @@ fn files(folder: &Path, into: &mut Vec<PathBuf>) {
 
 /// As scene, and as dome: a text is refused as both, a dome as a scene.
 #[test]
-#[ignore = "minutes: cargo test --release --test process -- --ignored corpus"]
+#[ignore = "half a minute: cargo test --test process -- --ignored corpus"]
 fn every_file_of_the_shared_assets_corpus() {
     let folder = repo("../shared/assets");
     if !folder.is_dir() {

@@ -48,9 +48,13 @@ fn a_full_disk_costs_the_new_file_and_not_the_old() {
     }
     let full = Path::new("/dev/full");
     if full.exists() {
-        symlink(full, at("full.exr")).unwrap();
-        let error = refused(render("scenes/sphere.glb", "scenes/window.exr").args(SMALL).arg("-o").arg(at("full.exr")));
-        assert!(error.contains("full.exr") && error.matches("No space left").count() == 1, "{error}");
+        // A picture so small that nothing is written before the last buffer is flushed, and a large one.
+        for (name, size) in [("full.exr", "160x120"), ("full.png", "8x8")] {
+            symlink(full, at(name)).unwrap();
+            let mut command = render("scenes/sphere.glb", "scenes/window.exr");
+            let error = refused(command.args(["--size", size]).args(&SMALL[2..]).arg("-o").arg(at(name)));
+            assert!(error.contains(name) && error.matches("No space left").count() == 1, "{error}");
+        }
     }
 }
 
@@ -156,7 +160,7 @@ fn directories_fifos_and_empty_files() {
     let at = |name: &str| folder.path().join(name);
     fs::create_dir(at("folder")).unwrap();
     fs::write(at("empty"), b"").unwrap();
-    let mut odd = vec![("folder", "directory"), ("empty", "empty")];
+    let mut odd = vec![("folder", "directory"), ("empty", "is empty")];
     if Command::new("mkfifo").arg(at("fifo")).status().is_ok_and(|status| status.success()) {
         odd.push(("fifo", "not a regular file"));
     }
