@@ -109,14 +109,18 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
         picture: &picture,
     };
     let frame = frame(&picture, &aovs, &settings.size, report.metadata());
-    for (path, output) in &outputs {
-        output.write(path, &frame)?;
-    }
-    if let Some(path) = &args.stats {
+    // A file that has no room costs no other.
+    let mut written: Vec<_> = outputs.iter().map(|(path, output)| output.write(path, &frame)).collect();
+    written.extend(args.stats.as_deref().map(|path| {
         output::write_atomically(path, |file| {
             serde_json::to_writer_pretty(&mut *file, &report.json()).map_err(std::io::Error::from)?;
             std::io::Write::write_all(file, b"\n")
-        })?;
+        })
+    }));
+    let mut errors = written.into_iter().filter_map(Result::err);
+    if let Some(first) = errors.next() {
+        errors.for_each(|error| say!("domelight: {error}"));
+        return Err(first.into());
     }
     args.say_report(&report);
     Ok(if INTERRUPTED.load(Ordering::Relaxed) { 130 } else { 0 })

@@ -55,6 +55,13 @@ fn a_full_disk_costs_the_new_file_and_not_the_old() {
             let error = refused(command.args(["--size", size]).args(&SMALL[2..]).arg("-o").arg(at(name)));
             assert!(error.contains(name) && error.matches("No space left").count() == 1, "{error}");
         }
+        // What has room is written all the same.
+        let mut command = render("scenes/sphere.glb", "scenes/window.exr");
+        command.args(SMALL).arg("-o").arg(at("full.exr")).arg("-o").arg(at("b.exr")).arg("--stats").arg(at("b.json"));
+        let error = refused(&mut command);
+        assert!(error.contains("full.exr") && error.matches("No space left").count() == 1, "{error}");
+        assert_eq!(bits(&at("b.exr")).len(), 160 * 120 * 4);
+        assert!(at("b.json").exists());
     }
 }
 
