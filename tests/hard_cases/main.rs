@@ -5,6 +5,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod amounts;
 mod camera;
 mod domes;
 mod geometry;
