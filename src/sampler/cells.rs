@@ -169,12 +169,6 @@ impl DomeCells {
         Vec3::from(self.dome.texels[self.texel(cell) as usize])
     }
 
-    /// Solid angle of a cell, steradians.
-    #[inline(always)]
-    pub fn solid_angle(&self, cell: u32) -> f64 {
-        self.rows[(cell / self.width) as usize].solid_angle
-    }
-
     /// The mean of all unit directions in a cell (shorter than 1): ∫ ω dω / Ω, exactly.
     pub fn mean_direction(&self, cell: u32) -> DVec3 {
         let (column, row) = self.place(cell);
@@ -231,6 +225,11 @@ impl Cells for DomeCells {
     fn energy(&self, cell: u32) -> f64 {
         let texel = self.dome.texels[self.texel(cell) as usize];
         f64::from(Dome::weight(texel)) * self.solid_angle(cell)
+    }
+
+    #[inline(always)]
+    fn solid_angle(&self, cell: u32) -> f64 {
+        self.rows[(cell / self.width) as usize].solid_angle
     }
 }
 

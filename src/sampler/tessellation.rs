@@ -27,6 +27,8 @@ pub trait Cells: Sync {
     fn center(&self, cell: u32) -> DVec3;
     /// Its energy: scalar weight × solid angle; 0 for a black cell, which no triangle takes.
     fn energy(&self, cell: u32) -> f64;
+    /// Its solid angle, steradians.
+    fn solid_angle(&self, cell: u32) -> f64;
 }
 
 /// A finished tessellation.
@@ -48,6 +50,8 @@ struct Node {
     corners: [DVec3; 3],
     cells: Range<usize>,
     energy: f64,
+    /// ∫ of the weight's square over it, where a tessellation goes by contrast; else 0.
+    square: f64,
     depth: u32,
     group: usize,
 }
@@ -101,9 +105,17 @@ impl Tessellation {
 
     /// Covers the whole sphere with at most `triangles` triangles, each its own group. Every cell must have light.
     pub fn covering(cells: &impl Cells, triangles: usize) -> Self {
-        let (mut order, faces) = sort_into_faces(cells);
+        let (mut order, mut faces) = sort_into_faces(cells);
+        for face in &mut faces {
+            face.square = order[face.cells.clone()].iter().map(|&cell| square(cells, cell)).sum();
+        }
+        // A direction uniform in a triangle: what its light's contrast and its cosine's change add to the estimate's spread.
+        let priority = |node: &Node| {
+            let solid_angle = solid_angle(node);
+            (solid_angle * node.square).sqrt() - node.energy * (1.0 - 0.1 * solid_angle)
+        };
         let grow = Grow { cells, scratch: &mut Vec::new(), order: &mut order, covering: true };
-        let mut nodes = grow.run(faces, triangles, usize::MAX, |node| (node.energy * solid_angle(node)).sqrt());
+        let mut nodes = grow.run(faces, triangles, usize::MAX, priority);
         for (i, node) in nodes.iter_mut().enumerate() {
             node.group = i;
         }
@@ -196,16 +208,19 @@ fn split(cells: &impl Cells, order: &mut [u32], scratch: &mut Vec<u32>, parent: 
     let normal = if normal.dot(entry) < 0.0 { -normal } else { normal };
     let own = &mut order[parent.cells.clone()];
     scratch.clear();
-    let mut energy = [0.0; 2];
+    let (mut energy, mut squares) = ([0.0; 2], [0.0; 2]);
     let mut kept = 0;
     for i in 0..own.len() {
         let cell = own[i];
-        if cells.center(cell).dot(normal) > 0.0 {
-            energy[0] += cells.energy(cell);
+        let half = usize::from(cells.center(cell).dot(normal) <= 0.0);
+        energy[half] += cells.energy(cell);
+        if parent.square > 0.0 {
+            squares[half] += square(cells, cell);
+        }
+        if half == 0 {
             own[kept] = cell;
             kept += 1;
         } else {
-            energy[1] += cells.energy(cell);
             scratch.push(cell);
         }
     }
@@ -217,9 +232,15 @@ fn split(cells: &impl Cells, order: &mut [u32], scratch: &mut Vec<u32>, parent: 
         corners: corners[i],
         cells: halves.next().expect("there are two halves"),
         energy: energy[i],
+        square: squares[i],
         depth: parent.depth + 1,
         group: parent.group,
     })
+}
+
+/// ∫ of the weight's square over a cell.
+fn square(cells: &impl Cells, cell: u32) -> f64 {
+    cells.energy(cell).powi(2) / cells.solid_angle(cell)
 }
 
 fn solid_angle(node: &Node) -> f64 {
@@ -279,7 +300,14 @@ fn sort_into_faces(cells: &impl Cells) -> (Vec<u32>, Vec<Node>) {
         at[usize::from(face)] += 1;
     }
     let nodes = (0..FACES)
-        .map(|i| Node { corners: faces[i], cells: begin[i]..begin[i + 1], energy: energy[i], depth: 0, group: i })
+        .map(|i| Node {
+            corners: faces[i],
+            cells: begin[i]..begin[i + 1],
+            energy: energy[i],
+            square: 0.0,
+            depth: 0,
+            group: i,
+        })
         .filter(|node| !node.cells.is_empty())
         .enumerate()
         .map(|(group, node)| Node { group, ..node })
@@ -339,6 +367,9 @@ mod tests {
             } else {
                 0.01
             }
+        }
+        fn solid_angle(&self, _: u32) -> f64 {
+            4.0 * PI / self.directions.len() as f64
         }
     }
 

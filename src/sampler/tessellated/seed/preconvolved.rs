@@ -32,15 +32,15 @@ struct Points<'a> {
     cells: &'a DomeCells,
     /// Energy that makes a cell hot.
     hot: f64,
-    /// Of hot cells, behind the middles of all cells: where, and the energy.
-    lattice: Vec<Piece>,
+    /// Of hot cells, behind the middles of all cells: where, and which cell's.
+    lattice: Vec<(DVec3, u32)>,
 }
 
 impl<'a> Points<'a> {
     fn new(cells: &'a DomeCells) -> Self {
         let count = cells.count() as u32;
         let hot = HOT * (0..count).into_par_iter().map(|cell| cells.energy(cell)).sum::<f64>();
-        let pieces = |cell| lattice(cells, cell).map(move |at| (at, cells.energy(cell) / POINTS));
+        let pieces = |cell| lattice(cells, cell).map(move |at| (at, cell));
         let lattice = (0..count).filter(|&cell| cells.energy(cell) > hot).flat_map(pieces).collect();
         Self { cells, hot, lattice }
     }
@@ -63,9 +63,16 @@ impl Cells for Points<'_> {
             // Its lattice speaks for it.
             None if self.cells.energy(point) > self.hot => 0.0,
             None => self.cells.energy(point),
-            Some(behind) => self.lattice[behind].1,
+            Some(behind) => self.cells.energy(self.lattice[behind].1) / POINTS,
         };
         energy.max(f64::MIN_POSITIVE)
+    }
+
+    fn solid_angle(&self, point: u32) -> f64 {
+        match (point as usize).checked_sub(self.cells.count()) {
+            None => self.cells.solid_angle(point),
+            Some(behind) => self.cells.solid_angle(self.lattice[behind].1) / POINTS,
+        }
     }
 }
 
