@@ -126,7 +126,7 @@ pub struct AovSample {
 pub struct Pixel {
     /// Σ (R, G, B, A) of the camera samples.
     pub sum: [f64; 4],
-    /// Camera samples.
+    /// Σ of the samples' weights: their number, where each weighs 1.
     pub samples: f64,
 }
 
@@ -158,20 +158,21 @@ impl Film {
         (y - self.offset[1]) as usize * self.size[0] as usize + (x - self.offset[0]) as usize
     }
 
-    /// Adds a sample to the pixel at `index`. The caller has dropped non-finite ones.
-    pub fn add(&mut self, index: usize, sample: &Sample) {
+    /// Adds a sample of some weight to the pixel at `index`. The caller has dropped non-finite ones.
+    pub fn add(&mut self, index: usize, sample: &Sample, weight: f32) {
+        let weight = f64::from(weight);
         let pixel = &mut self.pixels[index];
         let values = [sample.radiance.x, sample.radiance.y, sample.radiance.z, sample.alpha];
         for (sum, value) in pixel.sum.iter_mut().zip(values) {
-            *sum += f64::from(value);
+            *sum += weight * f64::from(value);
         }
-        pixel.samples += 1.0;
+        pixel.samples += weight;
         if let (Some(sums), Some(aovs)) = (self.aovs.get_mut(index), &sample.aovs) {
             let [a, n, p] = [aovs.albedo, aovs.normal, aovs.position].map(|v| v.to_array());
             let values =
                 [a[0], a[1], a[2], n[0], n[1], n[2], aovs.depth, p[0], p[1], p[2], aovs.light[0], aovs.light[1]];
             for (sum, value) in sums.iter_mut().zip(values) {
-                *sum += f64::from(value);
+                *sum += weight * f64::from(value);
             }
         }
     }

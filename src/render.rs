@@ -288,17 +288,17 @@ impl Render<'_> {
                         s.cameras.push(CameraSample { pixel: [column, row], place, numbers, shaded: view == 0 });
                     }
                     if s.cameras.len() + views as usize > CHUNK {
-                        self.chunk(world, s, &mut film, &mut counts);
+                        self.chunk(world, pass.weight, s, &mut film, &mut counts);
                     }
                 }
             }
         }
-        self.chunk(world, s, &mut film, &mut counts);
+        self.chunk(world, pass.weight, s, &mut film, &mut counts);
         world.sampler.tally(&mut s.draws);
         (film, counts)
     }
 
-    fn chunk(&self, world: &World<'_>, s: &mut Scratch, film: &mut Film, counts: &mut Counts) {
+    fn chunk(&self, world: &World<'_>, weight: f32, s: &mut Scratch, film: &mut Film, counts: &mut Counts) {
         s.rays.clear();
         s.samples.clear();
         for &CameraSample { pixel: [x, y], place: [u, v], .. } in &s.cameras {
@@ -344,7 +344,7 @@ impl Render<'_> {
         flush(world, views, s, counts);
         for (&CameraSample { pixel, numbers, .. }, value) in s.cameras.iter().zip(&s.samples) {
             if value.radiance.is_finite() {
-                film.add(film.index(pixel), value);
+                film.add(film.index(pixel), value, weight);
             } else {
                 counts.dropped += 1;
                 counts.dropped_at.get_or_insert([pixel[0], pixel[1], numbers.sample]);

@@ -3,40 +3,47 @@
 //! A pass takes some camera samples of some pixels. Without a learning sampler passes only cut the work up. With one,
 //! the first camera samples come in four *stages*, each a lattice of pixels: every 64th pixel, every 16th, every 4th, the
 //! rest; after each stage the sampler goes by what was seen so far. A pixel's own samples therefore never depend on
-//! what they saw themselves, all of them form one stratified set, and the image is unbiased in the strict sense. Later
-//! samples are one more stage with numbers of their own. Where variances are asked for, every replicate has numbers of
+//! what they saw themselves, all of them form one stratified set, and the image is unbiased in the strict sense. The first
+//! stage knows nothing: it takes a quarter of the samples, with numbers of their own, they weigh little in the image, and
+//! its pixels have all their samples in the last stage. Later samples are one more stage with numbers of their own. Where variances are asked for, every replicate has numbers of
 //! its own ([`crate::film::replicates`]).
 
 use super::Settings;
 
-/// Which pixels a pass takes: one in `step` each way, but not those of the lattice of `taken` steps.
+/// Which pixels a pass takes: one in `step` each way, but not those of the lattice of `taken` steps, unless they are of the
+/// first stage's and it `returns` to them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Lattice {
     step: u32,
     taken: u32,
+    returns: bool,
 }
 
+/// The first stage's lattice.
+const FIRST: u32 = 8;
+
 impl Lattice {
-    const ALL: Self = Self { step: 1, taken: 0 };
+    const ALL: Self = Self { step: 1, taken: 0, returns: false };
 
     /// The learning stages: each four times as many pixels as all before. The first ones know nothing, so they are few.
     const STAGES: [Self; 4] = [
-        Self { step: 8, taken: 0 },
-        Self { step: 4, taken: 8 },
-        Self { step: 2, taken: 4 },
-        Self { step: 1, taken: 2 },
+        Self { step: FIRST, taken: 0, returns: false },
+        Self { step: 4, taken: FIRST, returns: false },
+        Self { step: 2, taken: 4, returns: false },
+        Self { step: 1, taken: 2, returns: true },
     ];
 
     pub(super) fn takes(self, x: u32, y: u32) -> bool {
         // Lattices lie in each other: what is 5 modulo 8 is 1 modulo 4.
         let on = |step: u32| x % step == 5 % step && y % step == 5 % step;
-        on(self.step) && (self.taken == 0 || !on(self.taken))
+        on(self.step) && (self.taken == 0 || !on(self.taken) || self.returns && on(FIRST))
     }
 
     /// The share of the pixels.
     fn share(self) -> f64 {
         let one_in = |step: u32| 1.0 / f64::from(step * step);
-        one_in(self.step) - if self.taken == 0 { 0.0 } else { one_in(self.taken) }
+        let taken = if self.taken == 0 { 0.0 } else { one_in(self.taken) };
+        one_in(self.step) - taken + if self.returns { one_in(FIRST) } else { 0.0 }
     }
 }
 
@@ -47,6 +54,8 @@ pub(super) struct Pass {
     /// Camera samples of the sequence.
     pub(super) first: u32,
     pub(super) count: u32,
+    /// What each of them weighs in its pixel.
+    pub(super) weight: f32,
     /// Which sequence: the learning stages share one; what follows has its own, and so has every replicate.
     pub(super) sequence: u32,
     /// Places in the pixel go on through a replicate, for what was learned at some says nothing of the others' light:
@@ -65,6 +74,9 @@ impl Pass {
         self.lattice.share() * f64::from(self.count)
     }
 }
+
+/// What a sample weighs that was taken before anything was known: about its share of what a later one's variance is.
+const LOOK: f32 = 1.0 / 16.0;
 
 /// Camera samples of the learning stages, at most.
 const LEARNING: u32 = 8;
@@ -88,7 +100,8 @@ pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
             lattice,
             first: 0,
             count,
-            sequence: 0,
+            weight: if lattice.step == FIRST { LOOK } else { 1.0 },
+            sequence: if lattice.step == FIRST { u32::MAX } else { 0 },
             replicate: 0,
             before: 0,
             ends_stage: true,
@@ -106,6 +119,7 @@ pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
             lattice: Lattice::ALL,
             first: done - first,
             count,
+            weight: 1.0,
             sequence,
             replicate: done / each,
             before: first % each,

@@ -99,11 +99,11 @@ fn make(dome: &Arc<Dome>, params: &Params, setup: &Setup) -> Result<Box<dyn Dome
     Ok(Box::new(Seed::new(dome, params, setup)))
 }
 
-/// The cache that the options ask for.
-fn shadow_cache(params: &Params, setup: &Setup, groups: usize) -> Option<ShadowCache> {
+/// A cache as the options ask for it.
+fn shadow_cache(params: &Params, setup: &Setup, groups: usize) -> ShadowCache {
     let budget = params.integer("cache-mb").expect("the option has a default") << 20;
     let least = params.integer("cache-block").expect("the option has a default") as u32;
-    params.switch("cache").then(|| ShadowCache::new(setup.size, groups, budget, least))
+    ShadowCache::new(setup.size, groups, budget, least)
 }
 
 /// The sampler, prepared for one dome.
@@ -168,8 +168,10 @@ impl Tessellated {
     fn new(dome: &Arc<Dome>, params: &Params, setup: &Setup) -> Self {
         let start = Instant::now();
         let cells = DomeCells::new(Arc::clone(dome));
-        // Every group is weighed at every point: as many as its rays can pay for.
-        let affordable = (16 * u64::from(setup.rays)).next_power_of_two().clamp(128, 512);
+        // Without a cache every group is weighed at every point: as many as its rays can pay for. With one, points share weights.
+        let cached = params.switch("cache") && is_tame(dome);
+        let rays = u64::from(setup.rays);
+        let affordable = if cached { 64 * rays.clamp(4, 8) } else { (16 * rays).next_power_of_two().clamp(128, 512) };
         let groups = params.integer("groups").unwrap_or(affordable) as usize;
         let triangles = params.integer("triangles").map_or(groups * LEAVES_A_GROUP, |t| t as usize).max(groups);
         let tessellation = Tessellation::new(&cells, groups, triangles);
@@ -185,7 +187,7 @@ impl Tessellated {
                 }
             }
         }
-        let cache = is_tame(dome).then(|| shadow_cache(params, setup, preconvolved.groups.x.len())).flatten();
+        let cache = cached.then(|| shadow_cache(params, setup, preconvolved.groups.x.len()));
         let normals = Normals::new(params.integer("normals").unwrap_or(NORMALS) as usize);
         let table = if cache.is_some() { irradiances(&preconvolved, normals) } else { Vec::new() };
         let expected = if cache.is_some() { Expected::new(&preconvolved) } else { Expected::default() };

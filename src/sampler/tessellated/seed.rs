@@ -117,7 +117,7 @@ impl Seed {
         let count = preconvolved.triangles.len();
         let padded = count.next_multiple_of(GROUP_LANES);
         let slots = (0..count).map(|t| slot(t, padded, GROUP_LANES) as u32).collect();
-        let memory = Memory::new(super::shadow_cache(params, setup, padded));
+        let memory = Memory::new(params.switch("cache").then(|| super::shadow_cache(params, setup, padded)));
         let dome = Arc::clone(dome);
         let prepare_s = start.elapsed().as_secs_f64();
         Self { dome, preconvolved, slots, memory, version: super::next_version(), prepare_s }

@@ -125,11 +125,12 @@ impl<'a> Deal<'a> {
             }
         }
         for (triangle, pieces) in self.triangles.iter().zip(&mut pieces) {
-            // The other way round: a corner of a triangle that lies in a cell.
+            // The other way round: a corner of a triangle that lies in a cell, for a 64th of the smaller of the two.
             for corner in triangle.corners() {
                 let dir = corner.as_vec3();
                 let cell = self.cells.cell(dir, self.cells.dome().grid.texel(dir));
-                pieces.push((corner, self.cells.energy(cell) / f64::from(PARTS * PARTS)));
+                let share = (triangle.solid_angle / self.cells.solid_angle(cell)).min(1.0) / f64::from(PARTS * PARTS);
+                pieces.push((corner, self.cells.energy(cell) * share));
             }
         }
         pieces
@@ -168,7 +169,7 @@ impl Preconvolved {
         let tessellation = Tessellation::covering(&points, triangles);
         let triangles: Vec<_> = tessellation.corners.iter().map(|&corners| Triangle::new(corners)).collect();
         let pieces = Deal::new(&points, &tessellation, &triangles).pieces();
-        let total: f64 = pieces.iter().flatten().map(|(_, energy)| energy).sum();
+        let total: f64 = (0..cells.count() as u32).into_par_iter().map(|cell| cells.energy(cell)).sum();
         let grid = Grid::new(normals);
         let normals = grid.normals();
         let columns: Vec<Vec<f32>> =
@@ -222,7 +223,7 @@ mod tests {
     use crate::random::{hash, unit};
     use std::sync::Arc;
 
-    /// At a grid normal the table's sum is the dome's irradiance (and the floors'), between them no less than that.
+    /// At a grid normal the table's sum is the dome's irradiance, and the floors' (1 %) and that of triangles' corners (3/64 at most); between them it is no less.
     #[test]
     fn the_table_holds_the_irradiance_of_the_whole_dome() {
         let grid = crate::dome::project::Grid::new(64, 32, 0.0);
@@ -243,7 +244,7 @@ mod tests {
         };
         for (k, n) in table.grid.normals().into_iter().enumerate() {
             let (at, exact_at) = (sum(n), exact(n));
-            assert!(at > exact_at && at < exact_at * 1.01 + FLOOR, "grid normal {k}: {at} for {exact_at}");
+            assert!(at > exact_at && at < exact_at * 1.05 + FLOOR, "grid normal {k}: {at} for {exact_at}");
             let between = Vec3::new(n.x + 0.05, n.y - 0.03, n.z + 0.04).normalize();
             let (sum, exact) = (sum(between), exact(between));
             assert!(sum > exact, "{between}: {sum} for {exact}");
