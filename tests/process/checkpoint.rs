@@ -188,7 +188,7 @@ fn another_render_or_a_damaged_file_is_refused_by_name() {
     std::fs::write(&broken, b"something else altogether").unwrap();
     says(sphere, window, &[], &broken, &["not a checkpoint"]);
     let mut next = bytes.clone();
-    next[7] = 2;
+    next[7] += 1;
     std::fs::write(&broken, next).unwrap();
     says(sphere, window, &[], &broken, &["another version"]);
     says(sphere, window, &[], folder.path(), &["not a file"]);
