@@ -131,8 +131,8 @@ const GROUPS: u64 = 512;
 /// Cells of normals where nothing is said.
 const NORMALS: u64 = 2304;
 
-/// Groups of the horizon that hold less than this share of the light of a cell of normals are not looked at leaf by leaf: the control variate
-/// leaves them out.
+/// Groups of the horizon with less than this share of the light are not taken apart leaf by leaf for a cell of normals: the
+/// control variate leaves them out.
 const TABLE_NOTABLE: f32 = 3e-5;
 
 /// The groups as every cell of normals sees them.
