@@ -130,3 +130,43 @@ pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
     }
     passes
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::film::Filter;
+    use crate::render::Background;
+
+    /// What the first stage takes beside, and what each pass says of its work.
+    #[test]
+    fn every_pixel_has_all_its_samples() {
+        for (spp, variance) in [(1, false), (4, false), (9, false), (64, false), (64, true)] {
+            let settings = Settings {
+                size: [16; 2],
+                crop: [0, 0, 16, 16],
+                spp,
+                rays: 4,
+                camera_rays: None,
+                seed: 0,
+                tile: 16,
+                filter: Filter::Box,
+                background: Background::Black,
+                aovs: false,
+                variance,
+                time: None,
+            };
+            let passes = passes(&settings, true);
+            let mut taken = 0;
+            for (x, y) in (0..16).flat_map(|y| (0..16).map(move |x| (x, y))) {
+                let of_pixel = || passes.iter().filter(|pass| pass.lattice.takes(x, y));
+                let whole: u32 = of_pixel().filter(|pass| pass.weight == 1.0).map(|pass| pass.count).sum();
+                assert_eq!(whole, spp, "pixel {x}, {y}");
+                let beside = of_pixel().filter(|pass| pass.weight < 1.0).count();
+                assert_eq!(beside, usize::from(x % 8 == 5 && y % 8 == 5), "pixel {x}, {y}");
+                taken += of_pixel().map(|pass| pass.count).sum::<u32>();
+            }
+            let work: f64 = passes.iter().map(Pass::work).sum();
+            assert!((work * 256.0 - f64::from(taken)).abs() < 1e-9, "{work} of {taken}");
+        }
+    }
+}
