@@ -5,7 +5,7 @@
 
 Geometry comes in through Blender's importer; materials are built here as glTF means them, out of closures that Cycles
 evaluates exactly: Lambert's, and single-scattering GGX with Schlick's Fresnel (the Metallic node with a white edge tint).
-Left out, since no closure has it: the factor 1 − F(v·h) of the diffuse lobe under a dielectric's gloss. Emission is seen
+Left out, since no closure has it: the dimming of the diffuse lobe by the dielectric's gloss above it. Emission is seen
 by the camera and lights nothing. Nothing is clamped, denoised, adaptive or filtered; the dome is looked up per texel.
 """
 

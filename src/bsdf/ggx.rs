@@ -94,7 +94,7 @@ mod tests {
     use crate::random;
 
     fn lobe(alpha: f32) -> Specular {
-        Specular { alpha, f0: Vec3::splat(0.04), f90: 1.0, dielectric_f0: 0.04, dielectric_f90: 1.0 }
+        Specular { alpha, f0: Vec3::splat(0.04), f90: 1.0 }
     }
 
     #[test]

@@ -2,23 +2,27 @@
 //! KHR_materials_specular and KHR_materials_ior.
 //!
 //! ```text
-//!   f = (1 − metallic)·base/π·(1 − max F_d(v·h)) + D(h) V(l, v) F(v·h)
+//!   f = (1 − metallic)·base/π·(1 − max E_d(v)) + D(h) V(l, v) F(v·h)
 //!   F = mix(F_d, F_m, metallic), each f0 + (f90 − f0)(1 − v·h)⁵
 //! ```
 //!
-//! D is GGX, V the height-correlated Smith visibility. What the model loses to multiple scattering stays lost, as in the
-//! specification. A surface without a specular lobe is Lambertian and pays for nothing else.
+//! D is GGX, V the height-correlated Smith visibility, E_d what the dielectric's own lobe reflects of a white sky. The
+//! appendix dims the diffuse lobe by 1 − F_d(v·h) instead and leaves conserving energy to the implementation: by the
+//! letter, a polished white dielectric seen at 80° sends back a third more than it gets. 1 − E_d, as Blender's
+//! Principled BSDF and the viewers' image-based lighting have it, never does, and makes the diffuse lobe Lambertian.
+//! What the model loses to multiple scattering stays lost, as in the specification. A surface without a specular lobe
+//! pays for nothing of this.
 
+mod albedo;
 pub mod ggx;
 
 use crate::scene::Surface;
 use glam::Vec3;
-use std::f32::consts::FRAC_1_PI;
 
 /// A resolved reflectance: all textures looked up.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bsdf {
-    /// Albedo of the diffuse lobe, Fresnel not counted.
+    /// Albedo of the diffuse lobe: what the specular lobe reflects towards the viewer is taken off.
     pub diffuse: Vec3,
     /// The specular lobe; `None` for a Lambertian surface.
     pub specular: Option<Specular>,
@@ -33,18 +37,14 @@ pub struct Specular {
     pub f0: Vec3,
     /// Reflectance at grazing incidence, mixed likewise.
     pub f90: f32,
-    /// The dielectric's own reflectance at normal incidence, its largest channel: it dims the diffuse lobe.
-    pub dielectric_f0: f32,
-    /// And at grazing incidence.
-    pub dielectric_f90: f32,
 }
 
 /// Smallest α: below it a lobe is narrower than f32 resolves half vectors.
 const LEAST_ALPHA: f32 = 1e-4;
 
 impl Bsdf {
-    /// The reflectance of a surface point.
-    pub fn new(surface: &Surface) -> Self {
+    /// The reflectance of a surface point for a viewer in `wo`.
+    pub fn new(surface: &Surface, wo: Vec3) -> Self {
         let metallic = surface.metallic;
         let diffuse = surface.base_color * (1.0 - metallic);
         if metallic == 0.0 && surface.dielectric_f90 == 0.0 && surface.dielectric_f0 == Vec3::ZERO {
@@ -54,41 +54,17 @@ impl Bsdf {
             alpha: (surface.roughness * surface.roughness).max(LEAST_ALPHA),
             f0: surface.dielectric_f0.lerp(surface.base_color, metallic),
             f90: surface.dielectric_f90 + (1.0 - surface.dielectric_f90) * metallic,
-            dielectric_f0: surface.dielectric_f0.max_element(),
-            dielectric_f90: surface.dielectric_f90,
         };
-        Self { diffuse, specular: Some(specular) }
-    }
-
-    /// The diffuse part of the reflectance, sr⁻¹, for light from `wi`; no cosine.
-    #[inline]
-    pub fn eval_diffuse(&self, wo: Vec3, wi: Vec3) -> Vec3 {
-        let lambert = self.diffuse * FRAC_1_PI;
-        match &self.specular {
-            None => lambert,
-            Some(s) => {
-                let h = (wo + wi).normalize_or_zero();
-                lambert * (1.0 - s.dielectric_fresnel(wo.dot(h)))
-            }
+        if diffuse == Vec3::ZERO {
+            return Self { diffuse, specular: Some(specular) };
         }
-    }
-
-    /// A typical value of the diffuse lobe's albedo for a viewer in `wo`: what a control variate scales its integral by.
-    #[inline]
-    pub fn typical_diffuse(&self, wo: Vec3, ns: Vec3) -> Vec3 {
-        match &self.specular {
-            None => self.diffuse,
-            // Light from the normal's side: the half vector lies half-way to it.
-            Some(s) => self.diffuse * (1.0 - s.dielectric_fresnel((0.5 + 0.5 * wo.dot(ns).clamp(0.0, 1.0)).sqrt())),
-        }
+        let [f0, f90] = albedo::shares(wo.dot(surface.ns), specular.alpha);
+        let reflected = surface.dielectric_f0.max_element() * f0 + surface.dielectric_f90 * f90;
+        Self { diffuse: diffuse * (1.0 - reflected), specular: Some(specular) }
     }
 }
 
 impl Specular {
-    fn dielectric_fresnel(&self, cosine: f32) -> f32 {
-        schlick(cosine, self.dielectric_f0, self.dielectric_f90)
-    }
-
     /// Fresnel reflectance at a half vector.
     #[inline]
     pub fn fresnel(&self, cosine: f32) -> Vec3 {
@@ -97,19 +73,14 @@ impl Specular {
     }
 }
 
-#[inline]
-fn schlick(cosine: f32, f0: f32, f90: f32) -> f32 {
-    f0 + (f90 - f0) * (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::random;
     use std::f64::consts::PI;
 
-    /// Appendix B of glTF 2.0 as it stands there, in f64 and in the words of that text.
-    fn appendix_b(base: f64, metallic: f64, roughness: f64, v: [f64; 3], l: [f64; 3]) -> f64 {
+    /// The specular part of Appendix B of glTF 2.0, (dielectric, metal), in f64 and in the words of that text.
+    fn appendix_b(base: f64, roughness: f64, v: [f64; 3], l: [f64; 3]) -> [f64; 2] {
         let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
         let sum = [v[0] + l[0], v[1] + l[1], v[2] + l[2]];
         let h = sum.map(|c| c / dot(sum, sum).sqrt());
@@ -117,36 +88,35 @@ mod tests {
         let d = a2 / (PI * (h[2] * h[2] * (a2 - 1.0) + 1.0).powi(2));
         let root = |a: f64, b: f64| a * (b * b * (1.0 - a2) + a2).sqrt();
         let visibility = 0.5 / (root(l[2], v[2]) + root(v[2], l[2]));
-        let specular = visibility * d;
         let fresnel = (1.0 - dot(v, h).abs()).powi(5);
-        let metal = specular * (base + (1.0 - base) * fresnel);
-        let f = 0.04 + (1.0 - 0.04) * fresnel;
-        let dielectric = (1.0 - f) * base / PI + f * specular;
-        (1.0 - metallic) * dielectric + metallic * metal
+        [0.04, base].map(|f0| visibility * d * (f0 + (1.0 - f0) * fresnel))
     }
 
     /// What comes back from a white sky, by quadrature over the specification's formula and by our own directions.
     #[test]
-    fn albedo_is_the_specifications_over_roughness_and_metallic() {
+    fn albedo_is_the_formulas_over_roughness_and_metallic() {
         for roughness in [0.2f32, 0.5, 1.0] {
-            for metallic in [0.0f32, 0.5, 1.0] {
-                for cosine in [0.25f32, 0.9] {
-                    let wo = Vec3::new((1.0 - cosine * cosine).sqrt(), 0.0, cosine);
-                    let base = 0.6f32;
-                    let (mut reference, steps) = (0.0, 500);
-                    for i in 0..steps {
-                        // Fine at the horizon and about the mirror direction alike: z = 1 − t² spreads what is narrow.
-                        let z = 1.0 - ((f64::from(i) + 0.5) / f64::from(steps)).powi(2);
-                        let dz = 2.0 * (f64::from(i) + 0.5) / f64::from(steps) / f64::from(steps);
-                        let ring = (1.0 - z * z).sqrt();
-                        for k in 0..steps {
-                            let phi = 2.0 * PI * (f64::from(k) + 0.5) / f64::from(steps);
-                            let l = [ring * phi.cos(), ring * phi.sin(), z];
-                            let v = wo.to_array().map(f64::from);
-                            let f = appendix_b(f64::from(base), f64::from(metallic), f64::from(roughness), v, l);
-                            reference += f * z * dz * 2.0 * PI / f64::from(steps);
-                        }
+            for cosine in [0.25f32, 0.9] {
+                let wo = Vec3::new((1.0 - cosine * cosine).sqrt(), 0.0, cosine);
+                let base = 0.6f32;
+                let ([mut gloss, mut metal], steps) = ([0.0, 0.0], 500);
+                for i in 0..steps {
+                    // Fine at the horizon and about the mirror direction alike: z = 1 − t² spreads what is narrow.
+                    let z = 1.0 - ((f64::from(i) + 0.5) / f64::from(steps)).powi(2);
+                    let dz = 2.0 * (f64::from(i) + 0.5) / f64::from(steps) / f64::from(steps);
+                    let ring = (1.0 - z * z).sqrt();
+                    for k in 0..steps {
+                        let phi = 2.0 * PI * (f64::from(k) + 0.5) / f64::from(steps);
+                        let l = [ring * phi.cos(), ring * phi.sin(), z];
+                        let f = appendix_b(f64::from(base), f64::from(roughness), wo.to_array().map(f64::from), l);
+                        let part = z * dz * 2.0 * PI / f64::from(steps);
+                        gloss += f[0] * part;
+                        metal += f[1] * part;
                     }
+                }
+                for metallic in [0.0f32, 0.5, 1.0] {
+                    let share = f64::from(metallic);
+                    let reference = (1.0 - share) * (gloss + (1.0 - gloss) * f64::from(base)) + share * metal;
                     let surface = Surface {
                         position: Vec3::ZERO,
                         error: 0.0,
@@ -160,21 +130,16 @@ mod tests {
                         emission: Vec3::ZERO,
                         unlit: false,
                     };
-                    let bsdf = Bsdf::new(&surface);
+                    let bsdf = Bsdf::new(&surface, wo);
                     let lobe = bsdf.specular.unwrap();
                     let n = 1 << 16;
-                    let mut own = 0.0;
-                    for i in 0..n {
-                        let u = random::sobol2(i, 3);
-                        let diffuse = crate::integrator::ao::cosine_direction(u);
-                        own += f64::from(bsdf.eval_diffuse(wo, diffuse).x) * PI;
-                        own +=
-                            ggx::sample(&lobe, wo, u.map(random::unit)).map_or(0.0, |(.., weight)| f64::from(weight.x));
-                    }
-                    own /= f64::from(n);
+                    let weight = |i| {
+                        let u = random::sobol2(i, 3).map(random::unit);
+                        ggx::sample(&lobe, wo, u).map_or(0.0, |(.., weight)| f64::from(weight.x))
+                    };
+                    let own = f64::from(bsdf.diffuse.x) + (0..n).map(weight).sum::<f64>() / f64::from(n);
                     let what = format!("roughness {roughness}, metallic {metallic}, cosine {cosine}");
                     assert!((own / reference - 1.0).abs() < 3e-3, "{what}: {own} against {reference}");
-                    assert!(own <= 1.0, "{what}: energy gained, {own}");
                 }
             }
         }

@@ -38,7 +38,7 @@ impl Integrator for Direct {
         if surface.unlit {
             return surface.base_color;
         }
-        let bsdf = Bsdf::new(surface);
+        let bsdf = Bsdf::new(surface, point.wo);
         let (from_dome, from_lobe) = if world.sampler.needs_partner() {
             (point.rays.div_ceil(2), (point.rays / 2).max(1))
         } else {
@@ -64,9 +64,9 @@ impl Integrator for Direct {
         if surface.unlit {
             return surface.base_color;
         }
-        let bsdf = Bsdf::new(surface);
+        let bsdf = Bsdf::new(surface, point.wo);
         // A lobe shows about what the normal's side shines with.
-        let reflects = bsdf.typical_diffuse(point.wo, surface.ns) + bsdf.specular.map_or(Vec3::ZERO, |s| s.f0);
+        let reflects = bsdf.diffuse + bsdf.specular.map_or(Vec3::ZERO, |s| s.f0);
         surface.emission + reflects * FRAC_1_PI * world.sampler.expected(&sampled(point, bsdf))
     }
 }
@@ -152,17 +152,17 @@ impl Shade<'_> {
         if self.from_dome == 0 {
             return Vec3::ZERO;
         }
-        let (surface, wo) = (self.point.surface, self.point.wo);
+        let surface = self.point.surface;
         let (ns, ng) = (surface.ns, surface.ng);
         let point = sampled(self.point, self.bsdf);
         self.world.sampler.draw(&point, self.from_dome, draws);
         let n = draws.dir.len() as f32;
-        let k = self.bsdf.typical_diffuse(wo, ns) * FRAC_1_PI;
+        let k = self.bsdf.diffuse * FRAC_1_PI;
         let control: Vec3 = draws.control.iter().zip(&draws.pdf).map(|(&control, pdf)| control / pdf).sum();
         let partner = self.world.sampler.needs_partner();
         // All directions are on the normal's side: they begin at one place.
         let origin = offset_origin(surface.position, surface.error, ng, ng);
-        let lambert = (!partner && self.bsdf.specular.is_none()).then(|| self.bsdf.diffuse * (FRAC_1_PI / n));
+        let lambert = (!partner && (self.bsdf.specular.is_none() || self.narrow())).then(|| k / n);
         for (i, ((&dir, &radiance), &pdf)) in draws.dir.iter().zip(&draws.radiance).zip(&draws.pdf).enumerate() {
             let cosine = dir.dot(ns);
             let target = draws.target.get(i);
@@ -188,15 +188,10 @@ impl Shade<'_> {
     /// What a direction drawn from the dome adds by its radiance: the diffuse term by the density of all the dome's
     /// directions, the specular one by that of the lobe's as well.
     fn reflectance(&self, dir: Vec3, alone: f32) -> Vec3 {
-        let wo = self.point.wo;
-        let diffuse = self.bsdf.eval_diffuse(wo, dir);
-        let partner = self.world.sampler.needs_partner();
-        if !partner && (self.bsdf.specular.is_none() || self.narrow()) {
-            return diffuse / alone;
-        }
+        let diffuse = self.bsdf.diffuse * FRAC_1_PI;
         let (specular, lobe_pdf) = self.lobe.eval(self.lobe.frame.to_local(dir));
         let both = alone + self.from_lobe as f32 * lobe_pdf;
-        if partner { (diffuse + specular) / both } else { diffuse / alone + specular / both }
+        if self.world.sampler.needs_partner() { (diffuse + specular) / both } else { diffuse / alone + specular / both }
     }
 
     /// Directions from the lobe.
@@ -220,7 +215,7 @@ impl Shade<'_> {
             let both = self.from_lobe as f32 * lobe_pdf + from_dome * dome_pdf;
             let mut f = specular;
             if partner {
-                f += self.bsdf.eval_diffuse(self.point.wo, dir);
+                f += self.bsdf.diffuse * FRAC_1_PI;
             }
             let contribution = radiance * f * (local.z / both);
             if contribution != Vec3::ZERO {

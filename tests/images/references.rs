@@ -1,8 +1,8 @@
 //! The scenes of the repo against what Cycles and POV-Ray make of them (scenes/reference/, where the scripts are that made
 //! the pictures). Limits are on what lies beyond chance: two standard errors. `cargo test --test images references -- --nocapture` shows the table.
 //!
-//! Cycles has the same GGX lobes, but no closure for the diffuse lobe's factor 1 − F(v·h) under a dielectric's gloss. That
-//! difference is taken out: what the factor takes away is rendered by [`Dimming`] and added to our picture.
+//! Cycles has the same GGX lobes, but outside its Principled BSDF nothing dims the diffuse lobe under a dielectric's
+//! gloss. That difference is taken out: what the gloss takes away is rendered by [`Dimming`] and added to our picture.
 
 use crate::support::{Agreement, Stage, agreement, read, repo};
 use domelight::accel::Ray;
@@ -17,15 +17,18 @@ use std::path::Path;
 
 const SIDE: u32 = 128;
 
-/// ∫ base/π · F(v·h) · L · V · cos: the light that a dielectric's gloss keeps from the diffuse lobe below it.
+/// ∫ base/π · E(v) · L · V · cos: the light that a dielectric's gloss keeps from the diffuse lobe below it.
 #[derive(Debug)]
 struct Dimming;
 
 impl Integrator for Dimming {
     fn shade(&self, world: &World<'_>, at: &Shading<'_>, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
         let (surface, wo) = (at.surface, at.wo);
-        let bsdf = Bsdf::new(surface);
-        let Some(gloss) = bsdf.specular.filter(|_| !surface.unlit) else { return Vec3::ZERO };
+        let bsdf = Bsdf::new(surface, wo);
+        if bsdf.specular.is_none() || surface.unlit {
+            return Vec3::ZERO;
+        }
+        let dimmed = surface.base_color * (1.0 - surface.metallic) - bsdf.diffuse;
         let Shading { pixel, distance, numbers, rays, .. } = *at;
         let point = Point { pixel, distance, ng: surface.ng, ns: surface.ns, wo, bsdf, numbers };
         world.sampler.draw(&point, rays, draws);
@@ -35,11 +38,9 @@ impl Integrator for Dimming {
             if cosine <= 0.0 || dir.dot(surface.ng) <= 0.0 {
                 continue;
             }
-            let grazing = (1.0 - wo.dot((wo + dir).normalize())).powi(5);
-            let fresnel = gloss.dielectric_f0 + (gloss.dielectric_f90 - gloss.dielectric_f0) * grazing;
-            let weight = fresnel * FRAC_1_PI * cosine / (draws.pdf[i] * draws.dir.len() as f32);
+            let weight = FRAC_1_PI * cosine / (draws.pdf[i] * draws.dir.len() as f32);
             let origin = offset_origin(surface.position, surface.error, surface.ng, dir);
-            queue.push(Ray::new(origin, dir), draws.radiance[i] * bsdf.diffuse * weight);
+            queue.push(Ray::new(origin, dir), draws.radiance[i] * dimmed * weight);
         }
         Vec3::ZERO
     }

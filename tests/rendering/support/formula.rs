@@ -3,21 +3,30 @@
 use glam::DVec3;
 use std::f64::consts::TAU;
 
-/// glTF 2.0, Appendix B: the radiance reflected to `wo` by a surface about +Z under `light`.
+/// glTF 2.0, Appendix B, with the diffuse lobe dimmed by what the dielectric's gloss reflects of a white sky: the
+/// radiance reflected to `wo` by a surface about +Z under `light`.
 pub(crate) fn reflected(base: DVec3, metallic: f64, roughness: f64, wo: DVec3, light: impl Fn(DVec3) -> f64) -> DVec3 {
-    let alpha2 = roughness.powi(4);
-    let schlick = |cosine: f64| (1.0 - cosine).powi(5);
-    let mut sum = DVec3::ZERO;
+    let schlick = |f0: DVec3| move |vh: f64| f0 + (1.0 - f0) * (1.0 - vh).powi(5);
+    let dielectric = schlick(DVec3::splat(0.04));
+    let metal = schlick(base);
     // The diffuse lobe over cells of equal projected solid angle.
+    let mut diffuse = 0.0;
     let (rings, around) = (200, 200);
     for (i, j) in (0..rings).flat_map(|i| (0..around).map(move |j| (i, j))) {
         let sin2 = (f64::from(i) + 0.5) / f64::from(rings);
         let angle = TAU * (f64::from(j) + 0.5) / f64::from(around);
         let wi = DVec3::new(sin2.sqrt() * angle.cos(), sin2.sqrt() * angle.sin(), (1.0 - sin2).sqrt());
-        let fresnel = 0.04 + 0.96 * schlick(wo.dot((wi + wo).normalize()));
-        sum += base * (1.0 - metallic) * (1.0 - fresnel) * light(wi) / f64::from(rings * around);
+        diffuse += light(wi) / f64::from(rings * around);
     }
-    // The specular lobe over half vectors: D cos θ dω is du dφ/2π with tan²θ = α² u/(1 − u), and dω_i = 4 (v·h) dω_h.
+    let kept = 1.0 - specular(roughness, wo, &dielectric, |_| 1.0);
+    base * (1.0 - metallic) * kept * diffuse
+        + specular(roughness, wo, |vh| dielectric(vh).lerp(metal(vh), metallic), light)
+}
+
+/// The specular lobe over half vectors: D cos θ dω is du dφ/2π with tan²θ = α² u/(1 − u), and dω_i = 4 (v·h) dω_h.
+fn specular(roughness: f64, wo: DVec3, fresnel: impl Fn(f64) -> DVec3, light: impl Fn(DVec3) -> f64) -> DVec3 {
+    let alpha2 = roughness.powi(4);
+    let mut sum = DVec3::ZERO;
     let (rings, around) = (2000, 400);
     for (i, j) in (0..rings).flat_map(|i| (0..around).map(move |j| (i, j))) {
         let u = (f64::from(i) + 0.5) / f64::from(rings);
@@ -32,10 +41,7 @@ pub(crate) fn reflected(base: DVec3, metallic: f64, roughness: f64, wo: DVec3, l
         }
         let root = |z: f64| (alpha2 + (1.0 - alpha2) * z * z).sqrt();
         let visibility = 0.5 / (wi.z * root(wo.z) + wo.z * root(wi.z));
-        let dielectric = DVec3::splat(0.04 + 0.96 * schlick(vh));
-        let metal = base + (1.0 - base) * schlick(vh);
-        let fresnel = dielectric.lerp(metal, metallic);
-        sum += fresnel * visibility * 4.0 * vh * wi.z / h.z * light(wi) / f64::from(rings * around);
+        sum += fresnel(vh) * visibility * 4.0 * vh * wi.z / h.z * light(wi) / f64::from(rings * around);
     }
     sum
 }
