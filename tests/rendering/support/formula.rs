@@ -18,7 +18,7 @@ pub(crate) fn reflected(base: DVec3, metallic: f64, roughness: f64, wo: DVec3, l
         let wi = DVec3::new(sin2.sqrt() * angle.cos(), sin2.sqrt() * angle.sin(), (1.0 - sin2).sqrt());
         diffuse += light(wi) / f64::from(rings * around);
     }
-    let kept = 1.0 - specular(roughness, wo, &dielectric, |_| 1.0);
+    let kept = 1.0 - specular(roughness, wo, dielectric, |_| 1.0);
     base * (1.0 - metallic) * kept * diffuse
         + specular(roughness, wo, |vh| dielectric(vh).lerp(metal(vh), metallic), light)
 }
