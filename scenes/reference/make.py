@@ -51,7 +51,7 @@ def main():
             name = os.path.splitext(os.path.basename(file))[0]
             image = os.path.join(out, f"{name}-{dome}-cycles.exr")
             scene = os.path.join(os.path.abspath(options.assets), file)
-            make(scene, f"{dome}.exr", "cycles", ["--spp", "16", *camera], image, options.blender)
+            make(scene, f"{dome}.exr", "cycles", ["--spp", "64", *camera], image, options.blender)
             print(image, flush=True)
         return
     for scenes, domes, referee, spp in JOBS:

@@ -58,8 +58,7 @@ pub fn z_test(a: Estimate<'_>, b: Estimate<'_>, alpha: f64) -> ZTest {
         } else if difference <= rounding {
             1.0
         } else if variance > 0.0 {
-            let welch = variance * variance / (va[i] * va[i] / freedom[0] + vb[i] * vb[i] / freedom[1]);
-            let z = normal(difference / variance.sqrt(), welch);
+            let z = deviate(difference, [va[i], vb[i]], freedom);
             squares += z * z;
             two_sided(z)
         } else {
@@ -95,6 +94,14 @@ pub fn pooled(variance: &[Vec3], width: usize) -> Vec<Vec3> {
         rows.flat_map(|y| &variance[y * width..][columns.clone()]).sum::<Vec3>() / count as f32
     };
     variance.iter().enumerate().map(|(i, own)| own.max(about(i % width, i / width))).collect()
+}
+
+/// The standard normal deviate that is as rare as this difference between two estimates, whose variances were estimated
+/// with so many degrees of freedom each: Welch's test.
+pub fn deviate(difference: f64, variances: [f64; 2], freedom: [f64; 2]) -> f64 {
+    let [a, b] = variances;
+    let welch = (a + b).powi(2) / (a * a / freedom[0] + b * b / freedom[1]);
+    normal(difference / (a + b).sqrt(), welch)
 }
 
 /// The standard normal deviate that is as rare as Student's `t` (Hill 1970, algorithm 395; 1e-3 relative in the chance

@@ -1,10 +1,18 @@
 //! The scenes of the repo against what Cycles and POV-Ray make of them (scenes/reference/, where the scripts are that made
-//! the pictures). Limits are on what lies beyond chance: two standard errors. `cargo test --test images references -- --nocapture` shows the table.
+//! the pictures). Each limit stands beside one on the error of what it limits: a figure that is not known says nothing.
+//! `cargo test --test images references -- --nocapture` shows the table.
 //!
-//! Cycles has the same GGX lobes, but outside its Principled BSDF nothing dims the diffuse lobe under a dielectric's
-//! gloss. That difference is taken out: what the gloss takes away is rendered by [`Dimming`] and added to our picture.
+//! Where Cycles differs for a reason:
+//! - Outside its Principled BSDF nothing dims the diffuse lobe under a dielectric's gloss. What the gloss takes away is
+//!   rendered by [`Dimming`] and added to our picture.
+//! - Shading normals that face away from the viewer are turned here; there they are left black, or lit from behind. Pixels
+//!   of a glossy scene that have one are left out, and so are the few whose value one of the two does not know
+//!   ([`unknown`]).
+//! - Left in: Blender makes a deformed mesh's normals anew, glTF's skins turn those of the file (materials: the elbow of
+//!   the rod, up to twice as bright; the rod of `nodes` has facets). Cycles lets no light in from below the interpolated
+//!   normal, whatever the normal map says (materials: the bumpy ball's terminator in the sun).
 
-use crate::support::{Agreement, Stage, agreement, read, repo};
+use crate::support::{Agreement, Stage, agreement, read, repo, unknown};
 use domelight::accel::Ray;
 use domelight::bsdf::Bsdf;
 use domelight::hash::sha256_file;
@@ -67,7 +75,14 @@ fn check_at(
 ) {
     let stage = Stage::new(path, camera);
     let scene = path.file_stem().unwrap().to_string_lossy();
-    let (solid, inside) = (stage.solid(SIDE), stage.inside(SIDE));
+    let (mut solid, inside) = (stage.solid(SIDE), stage.inside(SIDE));
+    let shown = solid.iter().filter(|s| **s).count() as f64;
+    if stage.has_gloss() {
+        solid.iter_mut().zip(stage.turned(SIDE)).for_each(|(s, turned)| *s &= !turned);
+        let left = solid.iter().filter(|s| **s).count() as f64 / shown;
+        println!("{scene}: {:.2} % of the pixels have normals that face away", 100.0 * (1.0 - left));
+        assert!(left > 0.9, "{scene}: only {left} of the pixels are left");
+    }
     for dome in domes {
         let name = format!("{scene}-{dome}-{referee}");
         let (reference, facts) = read(&repo(&format!("{folder}/{name}.exr")));
@@ -82,6 +97,14 @@ fn check_at(
             picture.mean.iter_mut().zip(&dimming.mean).for_each(|(p, d)| *p += *d);
             picture.variance.iter_mut().zip(&dimming.variance).for_each(|(p, d)| *p += *d);
         }
+        let mut solid = solid.clone();
+        if stage.has_gloss() {
+            let unknown = unknown(&picture, &reference);
+            let lost = solid.iter().zip(&unknown).filter(|(s, u)| **s && **u).count() as f64 / shown;
+            println!("{name}: {:.2} % of the pixels are not known well enough", 100.0 * lost);
+            assert!(lost < 0.005, "{name}: {lost} of the pixels are not known well enough");
+            solid.iter_mut().zip(unknown).for_each(|(s, unknown)| *s &= !unknown);
+        }
         let found = agreement(&picture, &reference, &solid, &inside);
         println!("{name:<32} {found}");
         judge(&name, &found);
@@ -94,37 +117,37 @@ const DOMES: [&str; 3] = ["overcast_sun", "window", "studio"];
 fn lambertian(scene: &str, effort: [u32; 2]) {
     check(scene, "cycles", &DOMES, effort, |name, found| {
         let ([ratio, error], [relmse, spread]) = (found.ratio, found.relmse);
-        assert!((ratio - 1.0).abs() <= 0.001 + 2.0 * error && error < 0.0006, "{name}: mean ratio {ratio} ± {error}");
-        assert!(relmse <= 1e-4 + 2.0 * spread && spread < 1e-4, "{name}: relMSE {relmse:e} ± {spread:e}");
+        assert!((ratio - 1.0).abs() <= 0.001 && error < 0.0004, "{name}: mean ratio {ratio} ± {error}");
+        assert!(relmse <= 1e-4 && spread < 3e-5, "{name}: relMSE {relmse:e} ± {spread:e}");
         assert!(found.beyond <= 0.003, "{name}: {} of the pixels beyond 4 σ", found.beyond);
     });
 }
 
 #[test]
 fn a_sphere_as_cycles_sees_it() {
-    lambertian("sphere", [32, 8]);
+    lambertian("sphere", [64, 8]);
 }
 
 #[test]
 fn a_colonnade_as_cycles_sees_it() {
-    lambertian("colonnade", [64, 8]);
+    lambertian("colonnade", [256, 8]);
 }
 
 #[test]
 fn a_terrain_as_cycles_sees_it() {
-    lambertian("terrain", [32, 8]);
+    lambertian("terrain", [128, 8]);
 }
 
 #[test]
 fn mirrored_and_skinned_nodes_as_cycles_sees_them() {
-    lambertian("nodes", [32, 8]);
+    lambertian("nodes", [64, 8]);
 }
 
 #[test]
 fn materials_as_cycles_sees_them() {
-    check("materials", "cycles", &DOMES, [32, 8], |name, found| {
+    check("materials", "cycles", &DOMES, [256, 8], |name, found| {
         let [relmse, spread] = found.relmse;
-        assert!(relmse <= 1e-3 + 2.0 * spread, "{name}: relMSE {relmse:e} ± {spread:e}");
+        assert!(relmse <= 1e-3 && spread < 2e-4, "{name}: relMSE {relmse:e} ± {spread:e}");
     });
 }
 
@@ -156,9 +179,9 @@ fn real_assets_as_cycles_sees_them() {
             continue;
         }
         let camera = CameraChoice::LookAt { eye: eye.into(), target: target.into(), fov };
-        check_at(&path, &camera, "target/references", "cycles", &DOMES, [32, 8], |name, found| {
+        check_at(&path, &camera, "target/references", "cycles", &DOMES, [256, 8], |name, found| {
             let [relmse, spread] = found.relmse;
-            assert!(relmse <= 1e-3 + 2.0 * spread, "{name}: relMSE {relmse:e} ± {spread:e}");
+            assert!(relmse <= 1e-3 && spread < 2e-4, "{name}: relMSE {relmse:e} ± {spread:e}");
         });
     }
 }

@@ -1,10 +1,10 @@
 //! Scenes of the repo rendered, references read, and what there is to say about the two.
 
-use domelight::accel::{self, Accel, Coherence, Hit, Mask};
+use domelight::accel::{self, Accel, Coherence, Hit, Mask, Ray};
 use domelight::dome;
 use domelight::film::Filter;
 use domelight::integrator::{INTEGRATORS, Integrator};
-use domelight::metrics::ztest::pooled;
+use domelight::metrics::ztest::deviate;
 use domelight::output;
 use domelight::registry::resolve;
 use domelight::render::{Background, Render, Settings, Watch};
@@ -25,6 +25,8 @@ pub(crate) fn repo(path: &str) -> PathBuf {
 pub(crate) struct Picture {
     pub(crate) mean: Vec<Vec3>,
     pub(crate) variance: Vec<Vec3>,
+    /// Degrees of freedom of the variances.
+    pub(crate) freedom: f64,
 }
 
 /// Reads a reference; the header's facts beside it.
@@ -34,7 +36,9 @@ pub(crate) fn read(path: &Path) -> (Picture, Vec<(String, String)>) {
         let layer = frame.layers.iter().find(|l| l.name == name).unwrap();
         layer.pixels.chunks_exact(layer.channels.len()).map(Vec3::from_slice).collect()
     };
-    (Picture { mean: colours(""), variance: colours("variance") }, frame.metadata.clone())
+    let replicates = frame.metadata.iter().find(|(key, _)| key == "replicates").unwrap();
+    let freedom = replicates.1.parse::<f64>().unwrap() - 1.0;
+    (Picture { mean: colours(""), variance: colours("variance"), freedom }, frame.metadata.clone())
 }
 
 /// Scene, camera and structure of an asset.
@@ -93,7 +97,7 @@ impl Stage {
         assert_eq!(picture.counts.dropped, 0);
         let mean = picture.film.rgba().chunks_exact(4).map(Vec3::from_slice).collect();
         let variance = picture.film.replicates.variance().chunks_exact(3).map(Vec3::from_slice).collect();
-        Picture { mean, variance }
+        Picture { mean, variance, freedom: f64::from(picture.film.replicates.count - 1) }
     }
 
     /// For each pixel, whether it lies inside a surface, farther than half a pixel from all outlines: 3 × 3 rays over
@@ -109,6 +113,22 @@ impl Stage {
             let first = hits[4];
             let like = |h: &Hit| h.instance == first.instance && (h.t / first.t - 1.0).abs() < 0.1;
             first.is_hit() && hits.iter().all(|h| h.is_hit() && like(h))
+        };
+        (0..side * side).map(pixel).collect()
+    }
+
+    /// For each pixel, whether a shading normal in it faces away from the viewer, and was turned until it just faces him:
+    /// 8 × 8 rays look for one.
+    pub(crate) fn turned(&self, side: u32) -> Vec<bool> {
+        let view = View::new(&self.camera, side, side);
+        let pixel = |i: u32| {
+            let (x, y) = ((i % side) as f32, (i / side) as f32);
+            let at = |k: u32| view.ray(x + ((k % 8) as f32 + 0.5) / 8.0, y + ((k / 8) as f32 + 0.5) / 8.0);
+            let rays: Vec<_> = (0..64).map(at).collect();
+            let mut hits = [Hit::MISS; 64];
+            self.accel.intersect(&rays, Mask::All, Coherence::Coherent, &mut hits);
+            let grazing = |(ray, hit): (&Ray, &Hit)| -self.scene.surface(ray, hit).ns.dot(ray.dir) < 1.01e-3;
+            rays.iter().zip(&hits).filter(|(_, hit)| hit.is_hit()).any(grazing)
         };
         (0..side * side).map(pixel).collect()
     }
@@ -133,16 +153,27 @@ pub(crate) struct Agreement {
     pub(crate) relmse: [f64; 2],
     /// The same of a's noise and of b's.
     pub(crate) noise: [f64; 2],
-    /// Pixels inside surfaces that differ by more than four standard deviations in a channel, of all inside; the
-    /// variances are [`pooled`].
+    /// Pixels inside surfaces that differ by more than four standard deviations in a channel, by Welch's test, of all
+    /// inside.
     pub(crate) beyond: f64,
+}
+
+/// Pixels that one of the two has not found the value of: its standard error is above a quarter of it, or of 0.1 where it
+/// is dark. A sun's glint in a polished ball, met by one sample in thousands, is all of its picture's noise: where it was
+/// missed, the pixel is dark *and* says that there is no noise.
+pub(crate) fn unknown(a: &Picture, b: &Picture) -> Vec<bool> {
+    let lost = |p: &Picture, i: usize| {
+        let scale = p.mean[i] * p.mean[i] + 0.01;
+        (p.variance[i] / scale).max_element() > 1.0 / 16.0
+    };
+    (0..a.mean.len()).map(|i| lost(a, i) || lost(b, i)).collect()
 }
 
 /// Compares the pixels of `solid`.
 pub(crate) fn agreement(a: &Picture, b: &Picture, solid: &[bool], inside: &[bool]) -> Agreement {
     let (mut sums, mut errors, mut noise, mut excess) = ([0.0; 2], [0.0; 2], [0.0; 2], Vec::new());
     let (mut tested, mut beyond) = (0u32, 0u32);
-    let near = [a, b].map(|p| pooled(&p.variance, p.mean.len().isqrt()));
+    let freedom = [a.freedom, b.freedom];
     for i in (0..a.mean.len()).filter(|i| solid[*i]) {
         let [a, b, va, vb] = [a.mean[i], b.mean[i], a.variance[i], b.variance[i]].map(Vec3::as_dvec3);
         sums[0] += a.element_sum();
@@ -155,8 +186,8 @@ pub(crate) fn agreement(a: &Picture, b: &Picture, solid: &[bool], inside: &[bool
         excess.push((((a - b) * (a - b) - va - vb) / scale).element_sum() / 3.0);
         if inside[i] {
             tested += 1;
-            let variance = (near[0][i] + near[1][i]).as_dvec3();
-            beyond += u32::from(((a - b) * (a - b)).cmpgt(16.0 * variance + 1e-12).any());
+            let apart = |k: usize| (a - b)[k].abs() > 1e-6 && deviate((a - b)[k].abs(), [va[k], vb[k]], freedom) > 4.0;
+            beyond += u32::from((0..3).any(apart));
         }
     }
     let count = excess.len() as f64;
