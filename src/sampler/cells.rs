@@ -22,6 +22,8 @@ pub struct DomeCells {
     parts: u32,
     width: u32,
     height: u32,
+    /// ⌈2⁶⁴ / width⌉: rows by a multiplication.
+    reciprocal: u64,
     columns: Vec<Column>,
     rows: Vec<Row>,
     /// What a draw reads of a column and of a row: small, to stay close.
@@ -120,7 +122,8 @@ impl DomeCells {
         let draw_columns = columns.iter().map(|c| [c.cos as f32, c.sin as f32]).collect();
         let draw_rows = rows.iter().map(|row| row.draw).collect();
         let half_azimuth = half_azimuth as f32;
-        Self { dome, parts, width, height, columns, rows, draw_columns, draw_rows, half_azimuth }
+        let reciprocal = u64::MAX / u64::from(width) + 1;
+        Self { dome, parts, width, height, reciprocal, columns, rows, draw_columns, draw_rows, half_azimuth }
     }
 
     /// The dome.
@@ -136,7 +139,14 @@ impl DomeCells {
     /// Column and row of a cell.
     #[inline(always)]
     fn place(&self, cell: u32) -> (u32, u32) {
-        (cell % self.width, cell / self.width)
+        let row = self.row(cell);
+        (cell - row * self.width, row)
+    }
+
+    /// Row of a cell. Exact: what the rounded reciprocal adds, at most cell / 2⁶⁴, is less than a 1 / width.
+    #[inline(always)]
+    fn row(&self, cell: u32) -> u32 {
+        ((u128::from(self.reciprocal) * u128::from(cell)) >> 64) as u32
     }
 
     /// The texel a cell belongs to.
@@ -229,7 +239,7 @@ impl Cells for DomeCells {
 
     #[inline(always)]
     fn solid_angle(&self, cell: u32) -> f64 {
-        self.rows[(cell / self.width) as usize].solid_angle
+        self.rows[self.row(cell) as usize].solid_angle
     }
 }
 

@@ -97,9 +97,25 @@ impl Tessellation {
 
         // Leaves: the cosine's variance inside a triangle goes with its solid angle.
         let leaf_priority = |node: &Node| (node.energy / total).sqrt() * solid_angle(node);
-        let grow = Grow { cells, scratch: &mut scratch, order: &mut order, covering: false };
-        let nodes = grow.run(nodes, triangles, LEAVES_A_GROUP, leaf_priority);
-
+        let nodes = if triangles < nodes.len() * LEAVES_A_GROUP {
+            let grow = Grow { cells, scratch: &mut scratch, order: &mut order, covering: false };
+            grow.run(nodes, triangles, LEAVES_A_GROUP, leaf_priority)
+        } else {
+            // As many as fit: no group's take from another's.
+            let alone = |(node, order): (Node, &mut [u32])| {
+                let (begin, group) = (node.cells.start, node.group);
+                let root = Node { cells: 0..order.len(), group: 0, ..node };
+                let grow = Grow { cells, scratch: &mut Vec::new(), order, covering: false };
+                let mut leaves = grow.run(vec![root], LEAVES_A_GROUP, LEAVES_A_GROUP, leaf_priority);
+                for leaf in &mut leaves {
+                    leaf.cells = begin + leaf.cells.start..begin + leaf.cells.end;
+                    leaf.group = group;
+                }
+                leaves
+            };
+            let parts = apart(&nodes, &mut order);
+            nodes.into_par_iter().zip(parts).flat_map_iter(alone).collect()
+        };
         Self::of(nodes, order)
     }
 
@@ -135,6 +151,12 @@ impl Tessellation {
         }
         result
     }
+}
+
+/// Each node's cells.
+fn apart<'a>(nodes: &[Node], mut order: &'a mut [u32]) -> Vec<&'a mut [u32]> {
+    let cut = |node: &Node| order.split_off_mut(..node.cells.len()).expect("nodes along the curve share all cells");
+    nodes.iter().map(cut).collect()
 }
 
 struct Grow<'a, C> {
@@ -256,62 +278,53 @@ pub fn spherical_area([a, b, c]: [DVec3; 3]) -> f64 {
 
 /// Lit cells sorted into the cube's twelve triangles, along the curve.
 fn sort_into_faces(cells: &impl Cells) -> (Vec<u32>, Vec<Node>) {
-    const FACES: usize = 12;
-    const DARK: u8 = u8::MAX;
-    let faces = cube_path();
-    let inward = |p: DVec3, q: DVec3, inside: DVec3| p.cross(q) * p.cross(q).dot(inside).signum();
-    let sides: Vec<[DVec3; 3]> =
-        faces.iter().map(|&[a, b, c]| [inward(a, b, c), inward(b, c, a), inward(c, a, b)]).collect();
-    let face_of: Vec<(u8, f64)> = (0..cells.count() as u32)
-        .into_par_iter()
-        .with_min_len(4096)
-        .map(|cell| {
-            let energy = cells.energy(cell);
-            if energy <= 0.0 {
-                return (DARK, 0.0);
+    const TRIANGLES: usize = 12;
+    const PORTION: usize = 1 << 14;
+    let path = cube_path();
+    let middle = |i: usize| path[i][0] + path[i][2];
+    // A face: its middle, its diagonal's plane, and the triangles on the positive and the negative side of that.
+    let faces: Vec<_> = (0..TRIANGLES)
+        .filter_map(|i| {
+            let [entry, by, exit] = path[i];
+            let other = (i + 1..TRIANGLES).find(|&k| middle(k).abs_diff_eq(middle(i), 1e-9))?;
+            let cut = entry.cross(exit);
+            Some((middle(i), cut * cut.dot(by), [i, other]))
+        })
+        .collect();
+    let sort = |portion: usize| {
+        let mut found = [const { Vec::new() }; TRIANGLES];
+        let mut energy = [0.0; TRIANGLES];
+        for cell in portion * PORTION..cells.count().min((portion + 1) * PORTION) {
+            let cell = cell as u32;
+            let own = cells.energy(cell);
+            if own <= 0.0 {
+                continue;
             }
             let d = cells.center(cell);
-            // The triangle it lies deepest in: inside all three sides but for rounding.
-            let depth = |sides: &[DVec3; 3]| sides.iter().map(|n| n.dot(d)).fold(f64::INFINITY, f64::min);
-            let mut best = (0, f64::NEG_INFINITY);
-            for (i, sides) in sides.iter().enumerate() {
-                let depth = depth(sides);
-                if depth > best.1 {
-                    best = (i as u8, depth);
+            let (mut best, mut deepest) = (0, f64::NEG_INFINITY);
+            for (i, (middle, ..)) in faces.iter().enumerate() {
+                let depth = middle.dot(d);
+                if depth > deepest {
+                    (best, deepest) = (i, depth);
                 }
             }
-            (best.0, energy)
-        })
-        .collect();
-    let mut counts = [0usize; FACES];
-    let mut energy = [0.0; FACES];
-    for &(face, e) in face_of.iter().filter(|(face, _)| *face != DARK) {
-        counts[usize::from(face)] += 1;
-        energy[usize::from(face)] += e;
+            let (_, cut, sides) = faces[best];
+            let triangle = sides[usize::from(cut.dot(d) < 0.0)];
+            found[triangle].push(cell);
+            energy[triangle] += own;
+        }
+        (found, energy)
+    };
+    let portions: Vec<_> = (0..cells.count().div_ceil(PORTION)).into_par_iter().map(sort).collect();
+    let (mut order, mut nodes) = (Vec::with_capacity(cells.count()), Vec::new());
+    for (i, &corners) in path.iter().enumerate() {
+        let begin = order.len();
+        portions.iter().for_each(|(found, _)| order.extend_from_slice(&found[i]));
+        if order.len() > begin {
+            let energy = portions.iter().map(|(_, energy)| energy[i]).sum();
+            nodes.push(Node { corners, cells: begin..order.len(), energy, square: 0.0, depth: 0, group: nodes.len() });
+        }
     }
-    let mut begin = [0usize; FACES + 1];
-    for i in 0..FACES {
-        begin[i + 1] = begin[i] + counts[i];
-    }
-    let mut order = vec![0; begin[FACES]];
-    let mut at = begin;
-    for (cell, &(face, _)) in face_of.iter().enumerate().filter(|(_, (face, _))| *face != DARK) {
-        order[at[usize::from(face)]] = cell as u32;
-        at[usize::from(face)] += 1;
-    }
-    let nodes = (0..FACES)
-        .map(|i| Node {
-            corners: faces[i],
-            cells: begin[i]..begin[i + 1],
-            energy: energy[i],
-            square: 0.0,
-            depth: 0,
-            group: i,
-        })
-        .filter(|node| !node.cells.is_empty())
-        .enumerate()
-        .map(|(group, node)| Node { group, ..node })
-        .collect();
     (order, nodes)
 }
 
