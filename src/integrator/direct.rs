@@ -1,9 +1,11 @@
 //! Emission and direct light from the dome.
 //!
 //! The diffuse term is estimated by the dome sampler alone, with its control variate. A specular lobe adds directions
-//! drawn from the lobe; the specular term takes both kinds by the balance heuristic (the diffuse term takes the dome's
-//! unweighted: a weighted control variate would have the wrong mean). Below a roughness of 0.05 the lobe is left to its
-//! own directions. A Lambertian point draws from the dome and knows nothing of MIS.
+//! drawn from the lobe; the specular term takes these and the dome's by the balance heuristic (the diffuse term takes the
+//! dome's unweighted: a weighted control variate would have the wrong mean). A sampler that knows where a lobe looks
+//! draws the dome's for the specular term apart from the diffuse one's, but under wide lobes of dielectrics. Below a
+//! roughness of 0.05 the lobe is left to its own directions. A Lambertian point draws from the dome and knows nothing of
+//! MIS.
 
 use super::{Integrator, MakeIntegrator, Queue, Shading, World};
 use crate::accel::Ray;
@@ -29,6 +31,9 @@ pub const PLUGIN: Plugin<MakeIntegrator> = Plugin {
 /// α of roughness 0.05: narrower lobes are sampled by themselves.
 const NARROW: f32 = 0.0025;
 
+/// α of roughness 0.55: wider lobes above a diffuse one are served well by directions drawn by irradiance.
+const WIDE: f32 = 0.3;
+
 #[derive(Debug)]
 struct Direct;
 
@@ -39,20 +44,17 @@ impl Integrator for Direct {
             return surface.base_color;
         }
         let bsdf = Bsdf::new(surface, point.wo);
-        let (from_dome, from_lobe) = if world.sampler.needs_partner() {
-            (point.rays.div_ceil(2), (point.rays / 2).max(1))
-        } else {
-            split(&bsdf, point.rays)
-        };
         let shade = Shade {
             world,
             point,
             bsdf,
-            from_dome,
-            from_lobe,
+            shares: Shares::new(&bsdf, point.rays, world.sampler),
             lobe: Lobe::new(&bsdf, surface.ns, point.wo, world.sampler.needs_partner()),
         };
-        surface.emission + shade.dome(draws, queue) + shade.lobe(draws, queue)
+        let light = shade.dome(draws, queue);
+        shade.gloss(draws, queue);
+        shade.lobe(draws, queue);
+        surface.emission + light
     }
 
     fn expects(&self, sampler: &dyn DomeSampler) -> bool {
@@ -77,19 +79,36 @@ fn sampled(point: &Shading<'_>, bsdf: Bsdf) -> Point {
     Point { pixel, distance, ng: surface.ng, ns: surface.ns, wo, bsdf, numbers }
 }
 
-/// How many directions come from the dome and how many from the specular lobe.
-fn split(bsdf: &Bsdf, rays: u32) -> (u32, u32) {
-    match &bsdf.specular {
-        None => (rays, 0),
-        Some(s) if s.alpha < NARROW => {
-            if bsdf.diffuse == Vec3::ZERO {
-                (0, rays)
-            } else {
-                ((rays - rays / 4).max(1), (rays / 4).max(1))
-            }
+/// How many directions come from where.
+#[derive(Debug, Clone, Copy)]
+struct Shares {
+    /// From the dome by irradiance: the diffuse term's, and the specular one's where `gloss` has none.
+    dome: u32,
+    /// From the dome as the specular lobe sees it.
+    gloss: u32,
+    /// From the surface.
+    lobe: u32,
+}
+
+impl Shares {
+    fn new(bsdf: &Bsdf, rays: u32, sampler: &dyn DomeSampler) -> Self {
+        let quarter = (rays / 4).max(1);
+        let half = (rays / 2).max(1);
+        let most = (rays - rays / 4).max(1);
+        let Some(lobe) = &bsdf.specular else { return Self { dome: rays, gloss: 0, lobe: 0 } };
+        let metal = bsdf.diffuse == Vec3::ZERO;
+        if sampler.needs_partner() {
+            Self { dome: rays.div_ceil(2), gloss: 0, lobe: half }
+        } else if lobe.alpha < NARROW {
+            if metal { Self { dome: 0, gloss: 0, lobe: rays } } else { Self { dome: most, gloss: 0, lobe: quarter } }
+        } else if metal {
+            let [dome, gloss] = if sampler.sees_gloss() { [0, rays - rays / 2] } else { [rays - rays / 2, 0] };
+            Self { dome, gloss, lobe: half }
+        } else if lobe.alpha < WIDE && sampler.sees_gloss() {
+            Self { dome: rays.saturating_sub(2 * quarter).max(1), gloss: quarter, lobe: quarter }
+        } else {
+            Self { dome: most, gloss: 0, lobe: quarter }
         }
-        Some(_) if bsdf.diffuse == Vec3::ZERO => ((rays / 2).max(1), (rays - rays / 2).max(1)),
-        Some(_) => ((rays - rays / 4).max(1), (rays / 4).max(1)),
     }
 }
 
@@ -137,32 +156,33 @@ struct Shade<'a> {
     world: &'a World<'a>,
     point: &'a Shading<'a>,
     bsdf: Bsdf,
-    from_dome: u32,
-    from_lobe: u32,
+    shares: Shares,
     lobe: Lobe,
 }
 
 impl Shade<'_> {
-    fn narrow(&self) -> bool {
-        self.bsdf.specular.is_some_and(|s| s.alpha < NARROW) && !self.world.sampler.needs_partner()
+    /// Whether directions drawn by irradiance serve the diffuse term alone.
+    fn is_apart(&self) -> bool {
+        let apart = |s: Specular| s.alpha < NARROW || self.shares.gloss > 0;
+        self.bsdf.specular.is_none_or(apart) && !self.world.sampler.needs_partner()
     }
 
-    /// Directions from the dome: all of the diffuse term, and the specular one's share.
+    /// Directions from the dome by irradiance: all of the diffuse term, and the specular one's share.
     fn dome(&self, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
-        if self.from_dome == 0 {
+        if self.shares.dome == 0 {
+            draws.clear();
             return Vec3::ZERO;
         }
         let surface = self.point.surface;
         let (ns, ng) = (surface.ns, surface.ng);
         let point = sampled(self.point, self.bsdf);
-        self.world.sampler.draw(&point, self.from_dome, draws);
+        self.world.sampler.draw(&point, self.shares.dome, draws);
         let n = draws.dir.len() as f32;
         let k = self.bsdf.diffuse * FRAC_1_PI;
         let control: Vec3 = draws.control.iter().zip(&draws.pdf).map(|(&control, pdf)| control / pdf).sum();
-        let partner = self.world.sampler.needs_partner();
         // All directions are on the normal's side: they begin at one place.
         let origin = offset_origin(surface.position, surface.error, ng, ng);
-        let lambert = (!partner && (self.bsdf.specular.is_none() || self.narrow())).then(|| k / n);
+        let lambert = self.is_apart().then(|| k / n);
         for (i, ((&dir, &radiance), &pdf)) in draws.dir.iter().zip(&draws.radiance).zip(&draws.pdf).enumerate() {
             let cosine = dir.dot(ns);
             let target = draws.target.get(i);
@@ -190,20 +210,48 @@ impl Shade<'_> {
     fn reflectance(&self, dir: Vec3, alone: f32) -> Vec3 {
         let diffuse = self.bsdf.diffuse * FRAC_1_PI;
         let (specular, lobe_pdf) = self.lobe.eval(self.lobe.frame.to_local(dir));
-        let both = alone + self.from_lobe as f32 * lobe_pdf;
+        let both = alone + self.shares.lobe as f32 * lobe_pdf;
         if self.world.sampler.needs_partner() { (diffuse + specular) / both } else { diffuse / alone + specular / both }
     }
 
+    /// Directions from the dome as the lobe sees it.
+    fn gloss(&self, draws: &mut Draws, queue: &mut Queue) {
+        if self.shares.gloss == 0 {
+            return;
+        }
+        let surface = self.point.surface;
+        let seed = random::combine(self.point.numbers.seed, 0x6105);
+        let numbers = Numbers { seed, ..self.point.numbers };
+        let point = Point { numbers, ..sampled(self.point, self.bsdf) };
+        self.world.sampler.draw_gloss(&point, self.shares.gloss, draws);
+        let n = draws.dir.len() as f32;
+        let origin = offset_origin(surface.position, surface.error, surface.ng, surface.ng);
+        for (i, ((&dir, &radiance), &pdf)) in draws.dir.iter().zip(&draws.radiance).zip(&draws.pdf).enumerate() {
+            let local = self.lobe.frame.to_local(dir);
+            let target = draws.target.get(i);
+            if local.z <= 0.0 || dir.dot(surface.ng) <= 0.0 {
+                target.into_iter().for_each(|&target| queue.hide(target));
+                continue;
+            }
+            let (specular, lobe_pdf) = self.lobe.eval(local);
+            let both = n * pdf + self.shares.lobe as f32 * lobe_pdf;
+            queue.push(Ray::new(origin, dir), radiance * specular * (local.z / both));
+            queue.targets.extend(target);
+        }
+    }
+
     /// Directions from the lobe.
-    fn lobe(&self, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
+    fn lobe(&self, draws: &mut Draws, queue: &mut Queue) {
         let surface = self.point.surface;
         let numbers = Numbers { seed: random::combine(self.point.numbers.seed, 0x10be), ..self.point.numbers };
-        let partner = self.world.sampler.needs_partner();
-        let from_dome = if self.from_dome == 0 || self.narrow() { 0.0 } else { draws.dir.len() as f32 };
+        let Shares { gloss, lobe, .. } = self.shares;
+        let (sampler, partner) = (self.world.sampler, self.world.sampler.needs_partner());
+        // Those drawn last share the specular term.
+        let others = if gloss == 0 && self.is_apart() { 0.0 } else { draws.dir.len() as f32 };
         let point = sampled(self.point, self.bsdf);
-        for i in 0..self.from_lobe {
-            let choice = (i as f32 + random::unit(numbers.word(i, 2))) / self.from_lobe as f32;
-            let u = numbers.square(i, self.from_lobe);
+        for i in 0..lobe {
+            let choice = (i as f32 + random::unit(numbers.word(i, 2))) / lobe as f32;
+            let u = numbers.square(i, lobe);
             let Some(local) = self.lobe.sample(u, choice) else { continue };
             let dir = self.lobe.frame.to_world(local);
             if local.z <= 0.0 || dir.dot(surface.ng) <= 0.0 {
@@ -211,8 +259,12 @@ impl Shade<'_> {
             }
             let (radiance, texel) = self.world.dome.lookup(dir);
             let (specular, lobe_pdf) = self.lobe.eval(local);
-            let dome_pdf = if from_dome == 0.0 { 0.0 } else { self.world.sampler.pdf(&point, draws, dir, texel) };
-            let both = self.from_lobe as f32 * lobe_pdf + from_dome * dome_pdf;
+            let dome_pdf = match others {
+                0.0 => 0.0,
+                _ if gloss > 0 => sampler.pdf_gloss(draws, dir, texel),
+                _ => sampler.pdf(&point, draws, dir, texel),
+            };
+            let both = lobe as f32 * lobe_pdf + others * dome_pdf;
             let mut f = specular;
             if partner {
                 f += self.bsdf.diffuse * FRAC_1_PI;
@@ -222,11 +274,10 @@ impl Shade<'_> {
                 let origin = offset_origin(surface.position, surface.error, surface.ng, dir);
                 queue.push(Ray::new(origin, dir), contribution);
                 // As many targets as rays, whatever `draws` holds: a mirror has drawn nothing.
-                if self.world.sampler.learns() {
+                if sampler.learns() {
                     queue.targets.push(NO_TARGET);
                 }
             }
         }
-        Vec3::ZERO
     }
 }

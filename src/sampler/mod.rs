@@ -109,6 +109,8 @@ pub struct Draws {
 pub struct Prepared {
     /// The tessellated sampler's weights of groups.
     pub memo: tessellated::Memo,
+    /// The same for the point's specular lobe.
+    pub lobe: tessellated::Weights,
     /// The sketch's form of it: the counts of triangles.
     pub counts: tessellated::Counts,
     /// The tessellated sampler's numbers on their way down the hierarchy.
@@ -162,6 +164,22 @@ pub trait DomeSampler: Debug + Send + Sync {
 
     /// The density with which [`Self::draw`] drew `dir`, which lies in `texel`, for the point that `drawn` holds.
     fn pdf(&self, point: &Point, drawn: &Draws, dir: Vec3, texel: u32) -> f32;
+
+    /// Whether it knows where a specular lobe looks: [`Self::draw_gloss`].
+    fn sees_gloss(&self) -> bool {
+        false
+    }
+
+    /// Draws at most `n` directions by the light that the point's specular lobe sees, as [`Self::draw`] does by
+    /// irradiance, but that its density may be 0 where light comes from, and that there may be none.
+    fn draw_gloss(&self, _point: &Point, _n: u32, out: &mut Draws) {
+        out.clear();
+    }
+
+    /// The density with which [`Self::draw_gloss`] last drew `dir`, which lies in `texel`.
+    fn pdf_gloss(&self, _drawn: &Draws, _dir: Vec3, _texel: u32) -> f32 {
+        0.0
+    }
 
     /// Whether [`Self::expected`] has anything to go by yet.
     fn expects(&self) -> bool {

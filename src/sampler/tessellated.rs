@@ -14,9 +14,13 @@
 //! so exact for every point of a cell; what is left to sample is the error of the expectation. It also takes out how the
 //! cosine changes inside a group, so that under it texels are drawn by energy, straight from their group. Leaves serve where
 //! there is none (no record yet, `cache=off`) and at the horizon.
+//!
+//! Gloss: polished surfaces, and metals of any roughness, draw some of their directions from the groups as their lobe sees
+//! them, by energy inside a group.
 
 mod draw;
 mod expected;
+mod gloss;
 mod irradiance;
 mod memory;
 mod normals;
@@ -27,7 +31,7 @@ mod weights;
 
 pub use draw::Block;
 pub use seed::Counts;
-pub use weights::Memo;
+pub use weights::{Memo, Weights};
 
 use super::cells::DomeCells;
 use super::preconvolution::Preconvolution;
@@ -41,6 +45,7 @@ use crate::simd::dispatch;
 use draw::{BLOCK, Descend, LeafCounts, MOST_AT_HORIZON};
 use expected::Expected;
 use glam::Vec3;
+use gloss::WeighLobe;
 use irradiance::{Irradiance, Sweep};
 use memory::Memory;
 use normals::{Aim, Normals};
@@ -309,6 +314,49 @@ impl DomeSampler for Tessellated {
         (probability / self.cells.solid_angle(cell)) as f32
     }
 
+    fn sees_gloss(&self) -> bool {
+        !self.places.is_empty()
+    }
+
+    fn draw_gloss(&self, point: &Point, n: u32, out: &mut Draws) {
+        out.clear();
+        let Some(lobe) = &point.bsdf.specular else { return };
+        let (record, target) = self.memory.consult(point, out);
+        let weights = &mut out.prepared.lobe;
+        dispatch(WeighLobe {
+            triangles: &self.triangles,
+            lobe,
+            normal: point.ns,
+            wo: point.wo,
+            visibility: record.map(|record| record.visibility),
+            weights,
+        });
+        if weights.total == 0 {
+            return;
+        }
+        for first in (0..n).step_by(BLOCK) {
+            let count = (n - first).min(BLOCK as u32) as usize;
+            let Prepared { lobe: weights, block, .. } = &mut out.prepared;
+            let (normal, numbers) = (point.ns, point.numbers);
+            dispatch(Descend { sampler: self, weights, normal, numbers, first, count, of: n, block });
+            self.emit(count, false, target, out);
+        }
+    }
+
+    fn pdf_gloss(&self, drawn: &Draws, dir: Vec3, texel: u32) -> f32 {
+        let weights = &drawn.prepared.lobe;
+        let cell = self.cells.cell(dir, texel);
+        match self.places.get(cell as usize) {
+            Some(&(place, slot)) if place != u32::MAX && weights.total > 0 => {
+                let group = slot as usize / LEAVES_A_GROUP;
+                let share = |width: u32, of: u32| f64::from(width) / f64::from(of);
+                let in_group = share(self.texels.counts(place, group as u32).1, self.texels.groups[group].counts);
+                (share(weights.widths[group], weights.total) * in_group / self.cells.solid_angle(cell)) as f32
+            }
+            _ => 0.0,
+        }
+    }
+
     fn learns(&self) -> bool {
         self.memory.cache().is_some()
     }
@@ -368,7 +416,7 @@ impl DomeSampler for Tessellated {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bsdf::Bsdf;
+    use crate::bsdf::{Bsdf, Specular};
     use crate::dome::{Faults, project::Grid};
     use crate::registry::resolve;
     use crate::sampler::Numbers;
@@ -404,6 +452,44 @@ mod tests {
                 sum += f64::from(pdf) * sampler.cells.solid_angle(cell);
             }
             assert!((sum - 1.0).abs() < 1e-4, "normal {n}: {sum}");
+        }
+    }
+
+    /// Under a dome with a window and a sun: what is drawn has the density that is asked for later, its densities add up
+    /// to one, and a lobe that looks at the window goes there.
+    #[test]
+    fn lobes_draw_what_they_say_and_look_at_what_is_bright() {
+        let grid = Grid::new(256, 128, 0.0);
+        let is_window = |texel: usize| (40..56).contains(&(texel / 256)) && (120..136).contains(&(texel % 256));
+        let light = |texel| if is_window(texel) { 50.0 } else { 0.1 + if texel == 9000 { 1e5 } else { 0.0 } };
+        let texels = (0..grid.len()).map(|texel| [light(texel); 3]).collect();
+        let dome = Arc::new(Dome { grid, texels, faults: Faults::default() });
+        let sampler = sampler(&dome, "tessellated");
+        let mut draws = Draws::default();
+        let window = dome.grid.direction(128.0, 48.0);
+        for (alpha, normal) in [0.01, 0.1, 0.5].into_iter().flat_map(|a| [(a, Vec3::Y), (a, Vec3::X), (a, Vec3::Z)]) {
+            let specular = Some(Specular { alpha, f0: Vec3::splat(0.9), f90: 1.0 });
+            let mirrored = (2.0 * normal.dot(window) * normal - window).normalize();
+            let looks = mirrored.dot(normal) > 0.1;
+            let wo = if looks { mirrored } else { (normal + Vec3::splat(0.3)).normalize() };
+            let bsdf = Bsdf { diffuse: Vec3::ZERO, specular };
+            sampler.draw_gloss(&Point { wo, bsdf, ..point(normal, 3) }, 64, &mut draws);
+            let what = format!("α {alpha}, normal {normal}");
+            assert_eq!(draws.dir.len(), 64, "{what}");
+            let mut bright = 0;
+            for (&dir, &pdf) in draws.dir.iter().zip(&draws.pdf) {
+                let texel = dome.grid.texel(dir);
+                let again = sampler.pdf_gloss(&draws, dir, texel);
+                assert!((again / pdf - 1.0).abs() < 1e-4, "{what}: drawn with {pdf}, said to be {again}");
+                bright += u32::from(is_window(texel as usize));
+            }
+            assert!(!looks || alpha > 0.1 || bright > 48, "{what}: {bright} of 64 go to the window");
+            let density = |cell: u32| {
+                let dir = sampler.cells.sides(sampler.cells.locate(cell)).direction(0.5, 0.5);
+                f64::from(sampler.pdf_gloss(&draws, dir, dome.grid.texel(dir))) * sampler.cells.solid_angle(cell)
+            };
+            let sum: f64 = (0..sampler.cells.count() as u32).map(density).sum();
+            assert!((sum - 1.0).abs() < 1e-4, "{what}: {sum}");
         }
     }
 

@@ -1,7 +1,7 @@
 //! The groups' integer CDF: their irradiance, by what the shadow cache expects of their visibility, and with it the
 //! control variate.
 
-use super::irradiance::{ABOVE, BELOW, Flux, Irradiance, LANES, Sweep, sum};
+use super::irradiance::{ABOVE, Flux, Irradiance, LANES, Sweep, sum};
 use super::normals::Aim;
 use crate::random;
 use crate::sampler::preconvolution::{GROUP_LANES, Preconvolution};
@@ -31,12 +31,12 @@ pub(super) struct Purpose {
 
 /// The weights of the points that share a purpose.
 #[derive(Debug, Default)]
-pub(super) struct Weights {
+pub struct Weights {
     purpose: Purpose,
     /// The irradiance for a normal of its own.
     own: Irradiance,
-    /// How the groups lie.
-    status: Vec<u8>,
+    /// Whether a group's cells are drawn by energy alone.
+    by_energy: Vec<bool>,
     /// Importance by what the cache makes of it.
     weighted: Vec<f32>,
     /// What the control variate takes each group's visibility for; 0 for all that it leaves out.
@@ -70,7 +70,7 @@ impl Kernel for Weigh<'_> {
         let irradiance = &mut weights.own;
         Sweep { triangles, aim: purpose.aim, notable, parts: false, irradiance }.run();
         weights.resize(irradiance_len(triangles));
-        weights.status.copy_from_slice(&weights.own.status);
+        weights.by_energy.fill(false);
         weights.weighted.copy_from_slice(&weights.own.importance);
         weights.control.fill(0.0);
         weights.flux = [Vec3::ZERO; 3];
@@ -97,15 +97,16 @@ impl Kernel for WeighLearned<'_> {
         let Self { triangles, irradiance, purpose, visibility, weights } = self;
         let count = irradiance_len(triangles);
         weights.resize(count);
-        weights.status.copy_from_slice(&irradiance.status);
         let (status, importance) = (&irradiance.status[..count], &irradiance.importance[..count]);
         let (visibility, weighted) = (&visibility[..count], &mut weights.weighted[..count]);
-        let control = &mut weights.control[..count];
+        let (control, by_energy) = (&mut weights.control[..count], &mut weights.by_energy[..count]);
         for g in 0..count {
             let m = f32::from(visibility[g]) * (1.0 / 255.0);
             let s = about_sqrt(m * (1.0 - m));
             weighted[g] = importance[g] * if s > FLOOR { s } else { FLOOR };
             control[g] = if status[g] == ABOVE { m } else { 0.0 };
+            // The control variate takes out how the cosine changes inside.
+            by_energy[g] = status[g] == ABOVE;
         }
         let mut flux: Flux = [0.0; 9];
         for (flux, row) in flux.iter_mut().zip(&triangles.groups.rgb) {
@@ -136,10 +137,19 @@ impl Weights {
         self.purpose.aim
     }
 
-    /// Whether a group's cells are drawn by energy alone: the control variate takes out how the cosine changes inside.
+    /// Whether a group's cells are drawn by energy alone.
     #[inline(always)]
     pub(super) fn goes_by_energy(&self, group: usize) -> bool {
-        self.purpose.record.is_some() && self.status[group] == ABOVE
+        self.by_energy[group]
+    }
+
+    /// Empties them for weights that are no point's own: groups drawn from by energy, without a control variate.
+    #[inline(always)]
+    pub(super) fn clear(&mut self, count: usize) -> &mut [f32] {
+        self.resize(count);
+        self.control.fill(0.0);
+        self.by_energy.fill(true);
+        &mut self.weighted[..count]
     }
 
     /// The control variate's irradiance on a surface with normal `n`, a channel each.
@@ -151,14 +161,14 @@ impl Weights {
     fn resize(&mut self, count: usize) {
         self.weighted.resize(count, 0.0);
         self.control.resize(count, 0.0);
-        self.status.resize(count, BELOW);
+        self.by_energy.resize(count, false);
         self.begins.resize(count, 0);
         self.widths.resize(count, 0);
     }
 
     /// The integer CDF.
     #[inline(always)]
-    fn count(&mut self) {
+    pub(super) fn count(&mut self) {
         let count = self.weighted.len();
         let weighted = &self.weighted[..count];
         let total = sum(weighted);
