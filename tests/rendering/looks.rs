@@ -151,7 +151,7 @@ fn gltf_materials_have_the_albedo_that_the_formula_integrates_to() {
             let material =
                 Material { base_color: Vec4::new(0.9, 0.5, 0.2, 1.0), metallic, roughness, ..Material::default() };
             for spec in ["tessellated", "cosine"] {
-                let (mean, error) = mean((spec, [8, 128]), &patch, &material, &dome, &camera);
+                let (mean, error) = mean((spec, [16, 128]), &patch, &material, &dome, &camera);
                 let what = format!("metallic {metallic}, roughness {roughness}, {degrees}°, {spec}");
                 println!(
                     "{what}: {:.1e} ± {:.1e}",
