@@ -18,7 +18,7 @@ type Row = [[f32; 2]; NODES];
 static ROWS: [OnceLock<Row>; NODES] = [const { OnceLock::new() }; NODES];
 
 /// ∫ f cos dω of a lobe with F = f0 + (f90 − f0)(1 − v·h)⁵, as shares of f0 and of f90. Within 2e-3 of the integral where
-/// the cosine is above 0.03, on average 1e-4.
+/// the cosine is above 0.03, on average 3e-4.
 pub(super) fn shares(cosine: f32, alpha: f32) -> [f32; 2] {
     let place = |t: f32| {
         let t = t * (NODES - 1) as f32;

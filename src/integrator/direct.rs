@@ -95,11 +95,12 @@ impl Shares {
         let quarter = (rays / 4).max(1);
         let half = (rays / 2).max(1);
         let most = (rays - rays / 4).max(1);
+        if sampler.needs_partner() {
+            return Self { dome: rays.div_ceil(2), gloss: 0, lobe: half };
+        }
         let Some(lobe) = &bsdf.specular else { return Self { dome: rays, gloss: 0, lobe: 0 } };
         let metal = bsdf.diffuse == Vec3::ZERO;
-        if sampler.needs_partner() {
-            Self { dome: rays.div_ceil(2), gloss: 0, lobe: half }
-        } else if lobe.alpha < NARROW {
+        if lobe.alpha < NARROW {
             if metal { Self { dome: 0, gloss: 0, lobe: rays } } else { Self { dome: most, gloss: 0, lobe: quarter } }
         } else if metal {
             let [dome, gloss] = if sampler.sees_gloss() { [0, rays - rays / 2] } else { [rays - rays / 2, 0] };

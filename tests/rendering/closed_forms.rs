@@ -31,7 +31,8 @@ const METHOD: [(&str, &str); 8] = [
     ("latlong", SYSTEM),
     ("latlong", "bvh"),
 ];
-const BLIND: [(&str, &str); 2] = [("uniform", "bvh"), ("cosine", SYSTEM)];
+/// Whose density is far from the light, or 0 in places, which directions drawn from the surface cover.
+const BLIND: [(&str, &str); 3] = [("uniform", "bvh"), ("cosine", SYSTEM), ("latlong:mis", SYSTEM)];
 
 /// Renders a point at the origin with normal `n` among `occluders`; gives the irradiance, W·m⁻², and its standard error.
 fn irradiance(
