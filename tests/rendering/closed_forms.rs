@@ -1,6 +1,6 @@
-//! Irradiance that is known on paper (DESIGN.md §7), rendered: a point seen through a microscope, white, so that what
-//! the camera sees is E/π. Domes hold exact averages over their texels and have their edges on the texels' edges. The
-//! error must lie within four standard errors, and the standard error below 0.2 %.
+//! Irradiance that is known on paper, rendered: a point seen through a microscope, white, so that what the camera sees is
+//! E/π. Domes hold exact averages over their texels and have their edges on the texels' edges. The error must lie within
+//! four standard errors, and the standard error below 0.2 %.
 use crate::support::render::{Shot, microscope, pixels, polygon, scene, sheet, square, white};
 use crate::support::samplers::{dome, sampler};
 use domelight::accel;
