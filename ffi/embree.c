@@ -226,35 +226,40 @@ static occluded_args make_occluded_args(void) { return make_intersect_args(false
 
 /* ------------------------------------------------------------------------------------------------------ the rays */
 
+typedef float float4 __attribute__((vector_size(16)));
+
+/* In whole vectors, as Embree will read it: a vector load has to wait for scalar stores to leave for the cache. */
 static struct RTCRay to_rtc(const dome_ray *ray, uint32_t mask) {
+  float4 origin, dir, rest = {ray->tfar};
+  memcpy(&origin, ray->origin, sizeof origin); /* with tnear */
+  memcpy(&dir, ray->dir, sizeof dir);          /* with tfar, where the time has to be 0 */
+  dir[3] = 0.0f;
+  memcpy(&rest[1], &mask, sizeof mask);
   struct RTCRay out;
-  memset(&out, 0, sizeof out);
-  out.org_x = ray->origin[0];
-  out.org_y = ray->origin[1];
-  out.org_z = ray->origin[2];
-  out.tnear = ray->tnear;
-  out.dir_x = ray->dir[0];
-  out.dir_y = ray->dir[1];
-  out.dir_z = ray->dir[2];
-  out.tfar = ray->tfar;
-  out.mask = mask;
+  memcpy(&out.org_x, &origin, sizeof origin);
+  memcpy(&out.dir_x, &dir, sizeof dir);
+  memcpy(&out.tfar, &rest, sizeof rest);
   return out;
 }
 
 /* Fills a packet of 16; `lanes` says which of them carry a ray. */
 static void to_rtc16(const dome_ray *rays, size_t count, uint32_t mask, struct RTCRay16 *out, int32_t lanes[16]) {
+  dome_ray filled[16];
+  for (size_t i = 0; i < 16; i++) lanes[i] = i < count ? -1 : 0;
+  if (count < 16) {
+    for (size_t i = 0; i < 16; i++) filled[i] = rays[i < count ? i : 0];
+    rays = filled;
+  }
   for (size_t i = 0; i < 16; i++) {
-    const dome_ray *ray = &rays[i < count ? i : 0];
-    lanes[i] = i < count ? -1 : 0;
-    out->org_x[i] = ray->origin[0];
-    out->org_y[i] = ray->origin[1];
-    out->org_z[i] = ray->origin[2];
-    out->tnear[i] = ray->tnear;
-    out->dir_x[i] = ray->dir[0];
-    out->dir_y[i] = ray->dir[1];
-    out->dir_z[i] = ray->dir[2];
+    out->org_x[i] = rays[i].origin[0];
+    out->org_y[i] = rays[i].origin[1];
+    out->org_z[i] = rays[i].origin[2];
+    out->tnear[i] = rays[i].tnear;
+    out->dir_x[i] = rays[i].dir[0];
+    out->dir_y[i] = rays[i].dir[1];
+    out->dir_z[i] = rays[i].dir[2];
+    out->tfar[i] = rays[i].tfar;
     out->time[i] = 0.0f;
-    out->tfar[i] = ray->tfar;
     out->mask[i] = mask;
     out->id[i] = 0;
     out->flags[i] = 0;

@@ -17,12 +17,14 @@ use std::sync::Arc;
 
 /// Rays a call, as in twin.cpp.
 const BATCH: usize = 256;
-const ROUNDS: usize = 11;
+/// Rounds with the same two builds, after one to warm up.
+const ROUNDS: usize = 7;
+/// Builds on both sides: where the pages of one come to lie moves its rates by up to 15 %.
+const BUILDS: usize = 7;
 const RAYS: usize = 1 << 18;
 
-/// Passes by their name in twin.cpp, and the accelerator that makes the same calls.
-const KINDS: [(&str, &str); 4] =
-    [("camera", "embree"), ("closest", "embree"), ("single", "embree:single=on"), ("stream", "embree")];
+/// Passes by their name in twin.cpp.
+const KINDS: [&str; 4] = ["camera", "closest", "single", "stream"];
 
 fn main() -> Result<()> {
     let folder = tempfile::tempdir()?;
@@ -32,6 +34,7 @@ fn main() -> Result<()> {
     if specs.is_empty() {
         specs = ["terrain:10k", "terrain:300k", "terrain:3M", "soup:300k"].map(str::to_owned).to_vec();
     }
+    println!("Medians of {BUILDS} × {ROUNDS} rounds; ratios within a round, with their quartiles.");
     println!("{:<16}{:<10}{:>16}{:>16}{:>8}", "", "", "Rust, Mrays/s", "C++, Mrays/s", "ratio");
     for spec in specs {
         measure(&spec, &program, &folder.path().join("input"))?;
@@ -55,36 +58,50 @@ fn compile(program: &Path) -> Result<()> {
 
 fn measure(spec: &str, program: &Path, input: &Path) -> Result<()> {
     let scene = Arc::new(generate::generate(spec)?);
-    let accels = KINDS.map(|(_, accel)| accel::build(accel, &scene, 1));
-    let accels = accels.into_iter().collect::<Result<Vec<_>, _>>()?;
-    let sets = rays::make(&scene, accels[0].as_ref(), &Arc::new(generate::sky()), RAYS)?;
+    let maker = accel::build("embree", &scene, 1)?;
+    let sets = rays::make(&scene, maker.as_ref(), &Arc::new(generate::sky()), RAYS)?;
+    drop(maker);
     write(input, &scene, [&sets.camera, &sets.incoherent, &sets.grouped])?;
-    let mut twin = Twin::start(program, input)?;
-    for ((kind, _), accel) in KINDS.iter().zip(&accels) {
-        let set = match *kind {
-            "camera" => &sets.camera,
-            "closest" => &sets.incoherent,
-            _ => &sets.grouped,
-        };
-        let (mut rust, mut cpp) = (Vec::new(), Vec::new());
-        for round in 0..=ROUNDS {
-            let (own, met) = pass(kind, accel.as_ref(), set);
-            let (other, hits) = twin.pass(kind)?;
-            ensure!(met == hits, "{spec}, {kind}: {met} rays of {} meet something, {hits} in C++", set.len());
-            if round > 0 {
-                rust.push(set.len() as f64 / own / 1e6);
-                cpp.push(set.len() as f64 / other / 1e6);
+    let mut seconds: [Vec<[f64; 2]>; KINDS.len()] = Default::default();
+    for _ in 0..BUILDS {
+        let [batches, singly] = ["embree", "embree:single=on"].map(|spec| accel::build(spec, &scene, 1));
+        let (batches, singly) = (batches?, singly?);
+        let mut twin = Twin::start(program, input)?;
+        for (kind, seconds) in KINDS.iter().zip(&mut seconds) {
+            let accel = if *kind == "single" { &singly } else { &batches };
+            let set = rays_of(&sets, kind);
+            for round in 0..=ROUNDS {
+                let (own, met) = pass(kind, accel.as_ref(), set);
+                let (other, hits) = twin.pass(kind)?;
+                ensure!(met == hits, "{spec}, {kind}: {met} rays of {} meet something, {hits} in C++", set.len());
+                if round > 0 {
+                    seconds.push([own, other]);
+                }
             }
         }
-        let (rust, cpp) = (median(rust), median(cpp));
-        println!("{spec:<16}{kind:<10}{rust:>16.2}{cpp:>16.2}{:>8.3}", rust / cpp);
+    }
+    for (kind, seconds) in KINDS.iter().zip(&seconds) {
+        let count = rays_of(&sets, kind).len() as f64;
+        let [rust, cpp] = [0, 1].map(|side| quartiles(seconds.iter().map(|s| count / s[side] / 1e6))[1]);
+        // The machine's speed drifts less within a round than over all of them.
+        let [low, ratio, high] = quartiles(seconds.iter().map(|[own, other]| other / own));
+        println!("{spec:<16}{kind:<10}{rust:>16.2}{cpp:>16.2}{ratio:>8.3} [{low:.3}, {high:.3}]");
     }
     Ok(())
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+fn rays_of<'a>(sets: &'a rays::RaySets, kind: &str) -> &'a [Ray] {
+    match kind {
+        "camera" => &sets.camera,
+        "closest" => &sets.incoherent,
+        _ => &sets.grouped,
+    }
+}
+
+fn quartiles(values: impl Iterator<Item = f64>) -> [f64; 3] {
+    let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
+    [1, 2, 3].map(|quarter| values[values.len() * quarter / 4])
 }
 
 /// As twin.cpp reads it; the scenes have one mesh in the world.

@@ -461,7 +461,8 @@ fn pictures_do_not_depend_on_the_structure() {
                 let asked = build(structure, &scene);
                 let referee = Referee::new(&*asked, &*oracle);
                 let seen = shot(&referee);
-                let error = |(a, b): (&Vec3, &Vec3)| f64::from(((a - b).powf(2.0) / (b * b + 0.01)).element_sum()) / 3.0;
+                let error =
+                    |(a, b): (&Vec3, &Vec3)| f64::from(((a - b).powf(2.0) / (b * b + 0.01)).element_sum()) / 3.0;
                 let error = seen.iter().zip(&truth).map(error).sum::<f64>() / seen.len() as f64;
                 let (rays, differing) = (referee.rays.load(Relaxed), referee.differing.load(Relaxed));
                 let case = format!("{name}, {structure} against {other}");
