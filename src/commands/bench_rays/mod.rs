@@ -161,24 +161,16 @@ impl Bench<'_> {
             spread: sample.spread,
             ratio: None,
         };
-        for spec in self.specs {
-            let mut last = None;
-            for &(threads, _) in self.pools {
-                let mut seconds = Vec::new();
-                for _ in 0..if triangles < 1_000_000 { 3 } else { 2 } {
-                    drop(last.take());
-                    let accel = accel::build(spec, scene, threads)?;
-                    seconds.push(accel.stats().build_s);
-                    last = Some(accel);
-                }
-                rows.push(row(spec, "build", threads, Sample::of(seconds), "s"));
+        for (spec, seconds) in self.specs.iter().zip(self.builds(scene)?) {
+            for (&(threads, _), sample) in self.pools.iter().zip(seconds) {
+                rows.push(row(spec, "build", threads, sample, "s"));
             }
-            let accel = last.context("nothing was built")?;
-            let last_threads = self.pools.last().map_or(1, |(threads, _)| *threads);
+            let threads = self.pools.last().map_or(1, |(threads, _)| *threads);
+            let accel = accel::build(spec, scene, threads)?;
             let stats = accel.stats();
             for (what, bytes) in [("held", stats.bytes), ("peak", stats.peak_bytes)] {
                 let sample = Sample { median: bytes as f64 / stats.triangles.max(1) as f64, spread: 0.0 };
-                rows.push(row(spec, what, last_threads, sample, "B/tri"));
+                rows.push(row(spec, what, threads, sample, "B/tri"));
             }
             built.push(accel);
         }
@@ -213,6 +205,23 @@ impl Bench<'_> {
             out!("warning: {noisy} figures vary by more than 10 %: close other programs, or give more --rounds\n");
         }
         Ok((rows, agreed))
+    }
+
+    /// Seconds of every structure's builds on each number of threads. They take turns after one each that warms up, and no
+    /// two live at once: Embree's devices share their threads, and one of one thread would build on its neighbour's, too.
+    fn builds(&self, scene: &Arc<Scene>) -> anyhow::Result<Vec<Vec<Sample>>> {
+        let mut seconds = vec![vec![Vec::new(); self.pools.len()]; self.specs.len()];
+        for round in 0..=if scene.triangle_count() < 1_000_000 { 5 } else { 3 } {
+            for (spec, seconds) in self.specs.iter().zip(&mut seconds) {
+                for (&(threads, _), seconds) in self.pools.iter().zip(seconds) {
+                    let took = accel::build(spec, scene, threads)?.stats().build_s;
+                    if round > 0 {
+                        seconds.push(took);
+                    }
+                }
+            }
+        }
+        Ok(seconds.into_iter().map(|all| all.into_iter().map(Sample::of).collect()).collect())
     }
 
     /// What a call costs when there is nothing to meet.
