@@ -80,12 +80,36 @@ fn rays(count: usize, seed: u64) -> Vec<Ray> {
     rays
 }
 
+/// Rays as a camera sends them: sixteen neighbours from nearly or exactly one place, in narrow beams and wide ones.
+fn beams(count: usize, seed: u64) -> Vec<Ray> {
+    let mut random = Random(seed);
+    let mut rays = Vec::with_capacity(count);
+    while rays.len() < count {
+        let (origin, axis) = (random.in_cube() * 3.0, random.direction());
+        let (size, width) = (0.3 * random.unit().powi(4), random.unit().powi(4));
+        let apart = if random.unit() < 0.5 { 0.0 } else { size };
+        for _ in 0..16 {
+            let mut ray = Ray::new(origin + random.in_cube() * apart, axis + random.in_cube() * width);
+            if random.unit() < 0.1 {
+                ray.tnear = random.unit();
+                ray.tfar = ray.tnear + 2.0 * random.unit();
+            }
+            rays.push(ray);
+        }
+    }
+    // The last packet has rays missing.
+    rays.truncate(count);
+    rays
+}
+
 #[test]
 fn a_soup_is_seen_as_the_oracle_sees_it() {
     let mut scene = Scene::default();
     add_mesh(&mut scene, soup(150, 0.6, 1), AlphaMode::Opaque);
     add_mesh(&mut scene, soup(50, 0.3, 2), AlphaMode::Mask(0.5));
-    agree(&scene_of(scene), &rays(200_000, 3), 5.0);
+    let scene = scene_of(scene);
+    agree(&scene, &rays(200_000, 3), 5.0);
+    agree(&scene, &beams(200_007, 13), 5.0);
 }
 
 #[test]
@@ -108,7 +132,9 @@ fn instances_are_seen_where_they_stand() {
     ] {
         add_instance(&mut scene, mesh, transform);
     }
-    agree(&scene_of(scene), &rays(100_000, 7), 20.0);
+    let scene = scene_of(scene);
+    agree(&scene, &rays(100_000, 7), 20.0);
+    agree(&scene, &beams(100_007, 14), 20.0);
 }
 
 #[test]

@@ -3,10 +3,11 @@
 #![allow(unsafe_code, reason = "a SIMD kernel; `portable` is its twin")]
 
 use super::node::{Block, Node, WIDTH};
+use super::packet::{PACKET, Packet};
 use super::portable::{CLOSE, ahead};
 use super::traverse::{Kernel, LATER, Met, Prepared};
 use super::{Questions, World};
-use crate::accel::{Hit, Mask, Ray};
+use crate::accel::{Coherence, Hit, Mask, Ray};
 use std::arch::x86_64::*;
 
 /// The kernel for AVX2 and FMA.
@@ -16,7 +17,7 @@ pub(super) struct Avx2;
 pub(super) fn questions() -> Option<Questions> {
     (is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")).then_some(Questions {
         // SAFETY: The processor has been asked.
-        closest: |world, rays, mask, hits| unsafe { closest(world, rays, mask, hits) },
+        closest: |world, rays, mask, coherence, hits| unsafe { closest(world, rays, mask, coherence, hits) },
         // SAFETY: As above.
         any: |world, rays, mask, occluded| unsafe { any(world, rays, mask, occluded) },
     })
@@ -25,8 +26,8 @@ pub(super) fn questions() -> Option<Questions> {
 /// # Safety
 /// The processor has AVX2 and FMA.
 #[target_feature(enable = "avx2,fma,bmi1,lzcnt,popcnt")]
-unsafe fn closest(world: &World, rays: &[Ray], mask: Mask, hits: &mut [Hit]) {
-    World::closest::<Avx2>(world, rays, mask, hits);
+unsafe fn closest(world: &World, rays: &[Ray], mask: Mask, coherence: Coherence, hits: &mut [Hit]) {
+    World::closest::<Avx2>(world, rays, mask, coherence, hits);
 }
 
 /// # Safety
@@ -69,6 +70,33 @@ pub(super) fn slabs(ray: &Prepared, node: &Node) -> (__m256, __m256) {
         let leave = _mm256_min_ps(_mm256_min_ps(leave_x, leave_y), _mm256_min_ps(leave_z, all(ray.tfar)));
         (enter, _mm256_mul_ps(leave, all(LATER)))
     }
+}
+
+/// Eight numbers of a packet's row.
+#[inline(always)]
+fn eight(row: &[f32; PACKET], from: usize) -> __m256 {
+    let part: &[f32; 8] =
+        if from == 0 { row[..8].first_chunk().unwrap_or(&[0.0; 8]) } else { row.last_chunk().unwrap_or(&[0.0; 8]) };
+    // SAFETY: Inlined only where AVX is enabled; eight floats.
+    unsafe { _mm256_loadu_ps(part.as_ptr()) }
+}
+
+/// Which of eight rays of a packet meet the box of a child.
+#[inline(always)]
+fn rays(packet: &Packet, node: &Node, child: usize, from: usize) -> u32 {
+    let (mut enter, mut leave) = (eight(&packet.tnear, from), eight(&packet.tfar, from));
+    for axis in 0..3 {
+        let near = node.planes[packet.near[axis]][child];
+        let far = node.planes[2 * axis + 3 - packet.near[axis]][child];
+        let inverse = eight(&packet.inverse[axis], from);
+        // SAFETY: Inlined only where AVX2 and FMA are enabled.
+        unsafe {
+            enter = _mm256_max_ps(enter, _mm256_fmsub_ps(all(near), inverse, eight(&packet.enter[axis], from)));
+            leave = _mm256_min_ps(leave, _mm256_fmsub_ps(all(far), inverse, eight(&packet.leave[axis], from)));
+        }
+    }
+    // SAFETY: As above.
+    unsafe { _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(enter, _mm256_mul_ps(leave, all(LATER)))) as u32 }
 }
 
 /// Asks for every cache line of `what`.
@@ -119,6 +147,11 @@ impl Kernel for Avx2 {
             _mm256_storeu_ps(at.as_mut_ptr(), _mm256_permutevar8x32_ps(enter, places));
             mask.count_ones() as usize
         }
+    }
+
+    #[inline(always)]
+    fn rays(packet: &Packet, node: &Node, child: usize) -> u32 {
+        rays(packet, node, child, 0) | rays(packet, node, child, 8) << 8
     }
 
     #[inline(always)]

@@ -5,9 +5,10 @@
 
 use super::avx2::{Avx2, slabs};
 use super::node::{Block, Node, WIDTH};
+use super::packet::Packet;
 use super::traverse::{Kernel, Met, Prepared};
 use super::{Questions, World};
-use crate::accel::{Hit, Mask, Ray};
+use crate::accel::{Coherence, Hit, Mask, Ray};
 use std::arch::x86_64::*;
 
 /// The kernel for AVX-512 F and VL.
@@ -21,7 +22,7 @@ pub(super) fn questions() -> Option<Questions> {
         && is_x86_feature_detected!("fma"))
     .then_some(Questions {
         // SAFETY: The processor has been asked.
-        closest: |world, rays, mask, hits| unsafe { closest(world, rays, mask, hits) },
+        closest: |world, rays, mask, coherence, hits| unsafe { closest(world, rays, mask, coherence, hits) },
         // SAFETY: As above.
         any: |world, rays, mask, occluded| unsafe { any(world, rays, mask, occluded) },
     })
@@ -30,8 +31,8 @@ pub(super) fn questions() -> Option<Questions> {
 /// # Safety
 /// The processor has AVX-512 F and VL, AVX2 and FMA.
 #[target_feature(enable = "avx512f,avx512vl,avx2,fma,bmi1,lzcnt,popcnt")]
-unsafe fn closest(world: &World, rays: &[Ray], mask: Mask, hits: &mut [Hit]) {
-    World::closest::<Avx512>(world, rays, mask, hits);
+unsafe fn closest(world: &World, rays: &[Ray], mask: Mask, coherence: Coherence, hits: &mut [Hit]) {
+    World::closest::<Avx512>(world, rays, mask, coherence, hits);
 }
 
 /// # Safety
@@ -59,6 +60,11 @@ impl Kernel for Avx512 {
             _mm256_storeu_ps(at.as_mut_ptr(), _mm256_maskz_compress_ps(mask, enter));
             mask.count_ones() as usize
         }
+    }
+
+    #[inline(always)]
+    fn rays(packet: &Packet, node: &Node, child: usize) -> u32 {
+        Avx2::rays(packet, node, child)
     }
 
     #[inline(always)]

@@ -4,8 +4,8 @@
 //! through the opaque part never see a leaf of foliage. A top tree holds the triangles of the world and the boxes of
 //! the instances; each instanced mesh has a tree in its own space.
 //!
-//! `build` and `split` make the trees, `node` is what they are made of, `traverse` is a ray's way through them, and
-//! `portable`, `avx2` and `avx512` are the vector code it is written over, chosen when a structure is built.
+//! `build` and `split` make the trees, `node` is what they are made of, `traverse` is a ray's way through them,
+//! `packet` that of camera rays, and `portable`, `avx2` and `avx512` are the vector code it is written over, chosen when a structure is built.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -13,6 +13,7 @@ mod avx2;
 mod avx512;
 mod build;
 mod node;
+mod packet;
 mod pages;
 mod portable;
 mod split;
@@ -34,7 +35,7 @@ use std::collections::hash_map::Entry;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
-use traverse::{Any, Closest, Kernel, Question, trace};
+use traverse::{Any, Closest, Kernel, Question, trace, trace_packets};
 
 /// The plugin.
 pub(super) const PLUGIN: Plugin<MakeAccel> = Plugin {
@@ -80,7 +81,7 @@ struct World {
 /// The batch calls of a kernel, chosen once.
 #[derive(Debug, Clone, Copy)]
 struct Questions {
-    closest: fn(&World, &[Ray], Mask, &mut [Hit]),
+    closest: fn(&World, &[Ray], Mask, Coherence, &mut [Hit]),
     any: fn(&World, &[Ray], Mask, &mut [u8]),
 }
 
@@ -96,9 +97,18 @@ struct Bvh {
 impl World {
     /// The nearest hits of a batch of valid rays.
     #[inline(always)]
-    fn closest<K: Kernel>(&self, rays: &[Ray], mask: Mask, hits: &mut [Hit]) {
+    fn closest<K: Kernel>(&self, rays: &[Ray], mask: Mask, coherence: Coherence, hits: &mut [Hit]) {
         hits.fill(Hit::MISS);
-        self.ask::<K, Closest>(rays, mask, hits);
+        if coherence == Coherence::Incoherent {
+            return self.ask::<K, Closest>(rays, mask, hits);
+        }
+        for root in self.roots(mask) {
+            if self.placed.is_empty() {
+                trace_packets::<K, false>(self, root, rays, hits);
+            } else {
+                trace_packets::<K, true>(self, root, rays, hits);
+            }
+        }
     }
 
     /// Whether anything lies on the rays of a batch.
@@ -110,18 +120,23 @@ impl World {
 
     #[inline(always)]
     fn ask<K: Kernel, Q: Question>(&self, rays: &[Ray], mask: Mask, answers: &mut [Q::Answer]) {
-        for (index, root) in self.tops.iter().enumerate() {
-            match root {
-                Some(root) if mask as u32 >> index & 1 == 1 => {
-                    if self.placed.is_empty() {
-                        trace::<K, Q, false>(self, *root, rays, answers);
-                    } else {
-                        trace::<K, Q, true>(self, *root, rays, answers);
-                    }
-                }
-                _ => (),
+        for root in self.roots(mask) {
+            if self.placed.is_empty() {
+                trace::<K, Q, false>(self, root, rays, answers);
+            } else {
+                trace::<K, Q, true>(self, root, rays, answers);
             }
         }
+    }
+
+    /// The top trees that a mask sees.
+    #[inline(always)]
+    fn roots(&self, mask: Mask) -> impl Iterator<Item = Root> {
+        self.tops
+            .iter()
+            .enumerate()
+            .filter(move |(index, _)| mask as u32 >> index & 1 == 1)
+            .filter_map(|(_, root)| *root)
     }
 }
 
@@ -298,10 +313,10 @@ fn moved(bounds: &node::Aabb, transform: &Affine3A) -> (Vec3, Vec3) {
 }
 
 impl Accel for Bvh {
-    fn intersect(&self, rays: &[Ray], mask: Mask, _: Coherence, hits: &mut [Hit]) {
+    fn intersect(&self, rays: &[Ray], mask: Mask, coherence: Coherence, hits: &mut [Hit]) {
         assert_eq!(rays.len(), hits.len(), "a hit for every ray");
         let rays = placement::traceable(rays, self.limit, &self.invalid);
-        (self.questions.closest)(&self.world, &rays, mask, hits);
+        (self.questions.closest)(&self.world, &rays, mask, coherence, hits);
     }
 
     fn occluded(&self, rays: &[Ray], mask: Mask, occluded: &mut [u8]) {

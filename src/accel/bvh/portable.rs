@@ -1,6 +1,7 @@
 //! The kernel in plain Rust: right everywhere, and what the others are held to.
 
 use super::node::{BLOCK, Block, Node, WIDTH};
+use super::packet::{PACKET, Packet};
 use super::traverse::{Kernel, LATER, Met, Prepared};
 use super::{Questions, World};
 use crate::accel::Ray;
@@ -32,6 +33,20 @@ impl Kernel for Portable {
             count += usize::from(enter[lane] <= leave[lane] * LATER);
         }
         count
+    }
+
+    #[inline(always)]
+    fn rays(packet: &Packet, node: &Node, child: usize) -> u32 {
+        let (mut enter, mut leave) = (packet.tnear, packet.tfar);
+        for axis in 0..3 {
+            let near = node.planes[packet.near[axis]][child];
+            let far = node.planes[2 * axis + 3 - packet.near[axis]][child];
+            for ray in 0..PACKET {
+                enter[ray] = enter[ray].max(near * packet.inverse[axis][ray] - packet.enter[axis][ray]);
+                leave[ray] = leave[ray].min(far * packet.inverse[axis][ray] - packet.leave[axis][ray]);
+            }
+        }
+        (0..PACKET).map(|ray| u32::from(enter[ray] <= leave[ray] * LATER) << ray).sum()
     }
 
     #[inline(always)]

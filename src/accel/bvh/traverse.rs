@@ -7,6 +7,7 @@
 //! number to both triangles, so that no ray slips between them.
 
 use super::node::{BLOCK, Block, Forest, INSTANCE, Ids, LEAF, Node, Root, WIDTH};
+use super::packet::{self, PACKET, Packet};
 use super::{Placed, World};
 use crate::accel::{Hit, Ray};
 use std::cell::Cell;
@@ -104,6 +105,8 @@ pub(super) trait Kernel {
     /// Writes the references and distances of the children whose boxes are met, far to near in the octant's order, to
     /// the front of the two arrays (the rest may be overwritten); returns their number.
     fn boxes(ray: &Prepared, node: &Node, children: &mut [u32; WIDTH], at: &mut [f32; WIDTH]) -> usize;
+    /// Which rays of a packet meet the box of a child, a bit each.
+    fn rays(packet: &Packet, node: &Node, child: usize) -> u32;
     /// Whether any triangle is met.
     fn any(ray: &Prepared, block: &Block) -> bool;
     /// The nearest triangle met.
@@ -157,7 +160,7 @@ impl Question for Any {
 }
 
 /// A ray on its way.
-struct Lane {
+pub(super) struct Lane {
     ray: Prepared,
     /// Which of the batch.
     index: usize,
@@ -191,10 +194,10 @@ fn new_lanes() -> Box<[Lane]> {
 
 /// All trees as slices, and where the instances stand in them.
 #[derive(Clone, Copy)]
-struct View<'a> {
-    nodes: &'a [Node],
-    blocks: &'a [Block],
-    ids: &'a [Ids],
+pub(super) struct View<'a> {
+    pub(super) nodes: &'a [Node],
+    pub(super) blocks: &'a [Block],
+    pub(super) ids: &'a [Ids],
     placed: &'a [Placed],
 }
 
@@ -210,6 +213,18 @@ pub(super) fn trace<K: Kernel, Q: Question, const INSTANCES: bool>(
     let view = View { nodes, blocks, ids, placed: &world.placed };
     // Taken out and put back: the vector code is not inlined into closures.
     let mut lanes = LANES_OF_THREAD.take().unwrap_or_else(new_lanes);
+    run::<K, Q, INSTANCES>(view, root, rays, answers, &mut lanes);
+    LANES_OF_THREAD.set(Some(lanes));
+}
+
+#[inline(always)]
+fn run<K: Kernel, Q: Question, const INSTANCES: bool>(
+    view: View<'_>,
+    root: Root,
+    rays: &[Ray],
+    answers: &mut [Q::Answer],
+    lanes: &mut [Lane],
+) {
     // The lanes are too large to be moved about.
     let mut order: [usize; LANES] = std::array::from_fn(|i| i);
     let (mut next, mut active) = (0, 0);
@@ -227,6 +242,26 @@ pub(super) fn trace<K: Kernel, Q: Question, const INSTANCES: bool>(
             } else {
                 i += 1;
             }
+        }
+    }
+}
+
+/// The nearest hits of a batch of camera rays: as [`trace`], with neighbours in packets.
+#[inline(always)]
+pub(super) fn trace_packets<K: Kernel, const INSTANCES: bool>(
+    world: &World,
+    root: Root,
+    rays: &[Ray],
+    answers: &mut [Hit],
+) {
+    let Forest { nodes, blocks, ids } = &world.forest;
+    let view = View { nodes, blocks, ids, placed: &world.placed };
+    let mut lanes = LANES_OF_THREAD.take().unwrap_or_else(new_lanes);
+    // Once a call: it is large.
+    let mut stack: packet::Stack = [packet::Entry::default(); _];
+    for (rays, answers) in rays.chunks(PACKET).zip(answers.chunks_mut(PACKET)) {
+        if !packet::closest::<K, INSTANCES>(view, root, rays, answers, &mut stack, &mut lanes[0]) {
+            run::<K, Closest, INSTANCES>(view, root, rays, answers, &mut lanes);
         }
     }
     LANES_OF_THREAD.set(Some(lanes));
@@ -261,6 +296,21 @@ impl Lane {
             }
         }
         false
+    }
+
+    /// One ray from somewhere in a tree on; gives how far it still looks.
+    #[inline(always)]
+    pub(super) fn go<K: Kernel, Q: Question, const INSTANCES: bool>(
+        &mut self,
+        view: View<'_>,
+        ray: &Prepared,
+        reference: u32,
+        answer: &mut Q::Answer,
+    ) -> f32 {
+        (self.ray, self.index, self.reference) = (*ray, 0, reference);
+        (self.top, self.base, self.inside) = (0, 0, None);
+        while !self.step::<K, Q, INSTANCES>(view, std::slice::from_mut(answer)) {}
+        self.ray.tfar
     }
 
     /// Visits a node or a leaf; true when the ray is done.
