@@ -22,6 +22,7 @@ _Static_assert(sizeof(dome_hit) == 20, "dome_hit");
 _Static_assert(sizeof(dome_options) == 20, "dome_options");
 _Static_assert(sizeof(dome_mesh) == 40, "dome_mesh");
 _Static_assert(sizeof(dome_memory) == 16, "dome_memory");
+_Static_assert(sizeof(struct RTCRay) == 48, "RTCRay");
 
 struct dome_embree {
   RTCDevice device;
@@ -231,14 +232,16 @@ typedef float float4 __attribute__((vector_size(16)));
 /* In whole vectors, as Embree will read it: a vector load has to wait for scalar stores to leave for the cache. */
 static struct RTCRay to_rtc(const dome_ray *ray, uint32_t mask) {
   float4 origin, dir, rest = {ray->tfar};
-  memcpy(&origin, ray->origin, sizeof origin); /* with tnear */
-  memcpy(&dir, ray->dir, sizeof dir);          /* with tfar, where the time has to be 0 */
+  const char *from = (const char *)ray;
+  memcpy(&origin, from + offsetof(dome_ray, origin), sizeof origin); /* and tnear */
+  memcpy(&dir, from + offsetof(dome_ray, dir), sizeof dir);          /* and tfar, where the time has to be 0 */
   dir[3] = 0.0f;
-  memcpy(&rest[1], &mask, sizeof mask);
+  memcpy((char *)&rest + sizeof(float), &mask, sizeof mask);
   struct RTCRay out;
-  memcpy(&out.org_x, &origin, sizeof origin);
-  memcpy(&out.dir_x, &dir, sizeof dir);
-  memcpy(&out.tfar, &rest, sizeof rest);
+  char *to = (char *)&out;
+  memcpy(to + offsetof(struct RTCRay, org_x), &origin, sizeof origin);
+  memcpy(to + offsetof(struct RTCRay, dir_x), &dir, sizeof dir);
+  memcpy(to + offsetof(struct RTCRay, tfar), &rest, sizeof rest);
   return out;
 }
 

@@ -66,6 +66,7 @@ fn scaling(rows: &[Row]) -> String {
     };
     stacked(&[
         chart("grouped", "A render's shadow rays", "Mrays/s"),
+        chart("camera", "Camera rays", "Mrays/s"),
         chart("any-hit", "Any hit of scattered rays", "Mrays/s"),
         chart("build", "Build", "seconds"),
     ])
