@@ -20,8 +20,8 @@ use std::hint::select_unpredictable;
 /// Total of a group's leaf counts, about.
 const LEAF_COUNTS: f32 = 1_048_576.0;
 
-/// Numbers treated together.
-pub(super) const BLOCK: usize = 64;
+/// Numbers treated together: a vector register of them.
+pub(super) const BLOCK: usize = 16;
 
 /// A block of numbers. Widths and totals are those of the level last passed.
 #[derive(Debug)]
@@ -110,9 +110,8 @@ impl Kernel for Descend<'_> {
     fn run(self) {
         let Self { sampler, weights, normal, numbers, first, count, of, block } = self;
         let step = f64::from(weights.total) / f64::from(of);
-        // Loops of arithmetic alone run over whole registers, whatever stands in the rest.
-        let padded = count.next_multiple_of(16).min(BLOCK);
-        for i in 0..padded {
+        // Loops of arithmetic alone run over the whole block, whatever stands in its rest.
+        for i in 0..BLOCK {
             let index = first + i as u32;
             let stratum = numbers.within_stratum(index);
             let fresh = numbers.word(index, 1);
@@ -122,28 +121,35 @@ impl Kernel for Descend<'_> {
         }
         block.groups(weights, count);
         let total = f64::from(weights.total);
-        for i in 0..padded {
+        for i in 0..BLOCK {
             block.probability[i] = f64::from(block.width[i]) / total;
         }
         block.leaves(sampler, weights, count);
-        for i in 0..padded {
+        for i in 0..BLOCK {
             block.at[i] = whole(remainder(block, i) * f64::from(block.total[i])).min(block.total[i].wrapping_sub(1));
         }
         block.cells(sampler, weights.aim(), count);
         let half_azimuth = sampler.cells.half_azimuth;
-        for i in 0..padded {
+        for i in 0..BLOCK {
             let probability = block.probability[i] as f32 * (block.width[i] as f32 / block.total[i] as f32);
             block.pdf[i] = probability / block.pdf[i];
+        }
+        for i in 0..BLOCK {
             // The last of the number, digit by digit to the two sides of the cell; fresh digits below.
             let fresh = random::mix(block.fresh[i] ^ 0x3c6e_f372);
             let rest = (block.offset[i] as f32 + random::unit(fresh)) / block.width[i] as f32;
-            let z = ((rest * 65536.0) as i32 as u32).min(0xffff);
+            let z = small_whole(rest * 65536.0).min(0xffff);
             let fresh = random::mix(fresh ^ 0x1715_609d);
             let side = |z: u32, low: u32| (compact(z) << 16 | low) as i32 as f32 * (1.0 / 16_777_216.0);
+            block.dir[0][i] = side(z, fresh & 0xffff);
+            block.dir[1][i] = side(z >> 1, fresh >> 16);
+        }
+        for i in 0..BLOCK {
+            let (x, y) = (block.dir[0][i], block.dir[1][i]);
             let cell = &block.cell;
             let (cos, sin, t, dt, sign) = (cell[0][i], cell[1][i], cell[2][i], cell[3][i], cell[4][i]);
             let sides = Sides { half_azimuth, cos, sin, row: DrawRow { t, dt, sign, solid_angle: 0.0 } };
-            let dir = sides.direction(side(z, fresh & 0xffff), side(z >> 1, fresh >> 16));
+            let dir = sides.direction(x, y);
             block.factor[i] = block.control[i] * dir.dot(normal);
             (block.dir[0][i], block.dir[1][i], block.dir[2][i]) = (dir.x, dir.y, dir.z);
         }
@@ -164,20 +170,32 @@ fn remainder(block: &mut Block, i: usize) -> f64 {
 }
 
 /// The whole part of a number in [0, 2³²). The digits of a double beyond 2⁵² are whole: vector units do that, and the
-/// language's conversion, which minds all other numbers too, they don't. (A whole odd number loses one.)
+/// language's conversion, which minds all other numbers too, they don't. (An odd whole number loses one.)
 #[inline(always)]
-fn whole(x: f64) -> u32 {
-    (x - 0.5 + 2f64.powi(52)).to_bits() as u32
+pub(super) fn whole(x: f64) -> u32 {
+    (x - 0.5 + 1.5 * 2f64.powi(52)).to_bits() as u32
+}
+
+/// The same of a number in [0, 2²²), in single precision.
+#[inline(always)]
+fn small_whole(x: f32) -> u32 {
+    (x - 0.5 + 12_582_912.0).to_bits() & 0x3f_ffff
 }
 
 impl Block {
     #[inline(always)]
     fn groups(&mut self, weights: &Weights, count: usize) {
         let Self { at, low: lane, group: row, offset, width, .. } = self;
-        for i in 0..count {
-            lane[i] = last_begun(&weights.lanes, at[i]);
-            at[i] -= weights.lanes[lane[i] as usize];
-            row[i] = 0;
+        // Empty lanes begin where their successor does: the last that has begun holds the count.
+        let (mut begun, mut before) = ([0; BLOCK], [0; BLOCK]);
+        for begin in weights.lanes {
+            for i in 0..BLOCK {
+                begun[i] += u32::from(begin <= at[i]);
+                before[i] = if begin <= at[i] { begin } else { before[i] };
+            }
+        }
+        for i in 0..BLOCK {
+            (at[i], lane[i], row[i]) = (at[i] - before[i], begun[i] - 1, 0);
         }
         // All numbers a step at a time: their look-ups don't wait for each other.
         let mut size = weights.begins.len() / GROUP_LANES;
@@ -354,7 +372,7 @@ impl LeafCounts {
         let scale = if total > 0.0 { (LEAF_COUNTS / total).min(f32::MAX) } else { 0.0 };
         let mut result = Self::default();
         for (width, &e) in result.widths.iter_mut().zip(e) {
-            *width = (e * scale) as i32 as u32 + if e > 0.0 { 1 } else { 0 };
+            *width = small_whole(e * scale) + if e > 0.0 { 1 } else { 0 };
         }
         let mut lanes = [0u32; LEAF_LANES];
         let (begins, _) = result.begins.as_chunks_mut::<LEAF_LANES>();

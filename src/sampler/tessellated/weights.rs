@@ -1,6 +1,7 @@
 //! The groups' integer CDF: their irradiance, by what the shadow cache expects of their visibility, and with it the
 //! control variate.
 
+use super::draw::whole;
 use super::irradiance::{ABOVE, Flux, Irradiance, LANES, Sweep, sum};
 use super::normals::Aim;
 use crate::random;
@@ -175,8 +176,8 @@ impl Weights {
         let scale = if total > 0.0 { (GROUP_COUNTS / total).min(f32::MAX) } else { 0.0 };
         let widths = &mut self.widths[..count];
         for g in 0..count {
-            // Never nothing where there is importance. (Signed: the conversion that vector units have.)
-            widths[g] = (weighted[g] * scale) as i32 as u32 + if weighted[g] > 0.0 { 1 } else { 0 };
+            // Never nothing where there is importance.
+            widths[g] = whole(f64::from(weighted[g] * scale)) + if weighted[g] > 0.0 { 1 } else { 0 };
         }
         let mut lanes = [0u32; GROUP_LANES];
         let (begins, _) = self.begins[..count].as_chunks_mut::<GROUP_LANES>();
