@@ -16,7 +16,7 @@ use crate::integrator::visibility::{self, nearest};
 use crate::integrator::{Integrator, Queue, Shading, World};
 use crate::random;
 use crate::sampler::{DomeSampler, Draws, Numbers};
-use crate::scene::Scene;
+use crate::scene::{Scene, Surface};
 use crate::scene::camera::View;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -308,6 +308,7 @@ impl Render<'_> {
         counts.camera_rays += s.rays.len() as u64;
         nearest(self.scene, self.accel, &s.rays, &mut s.hits, &mut s.visibility);
         let views = self.views(world.sampler) as f32;
+        let mut waiting = None;
         for i in 0..s.rays.len() {
             let CameraSample { pixel, numbers, shaded, .. } = s.cameras[i];
             let (ray, hit) = (&s.rays[i], &s.hits[i]);
@@ -317,17 +318,11 @@ impl Render<'_> {
             }
             let hit = &if shaded { self.scene.refined(ray, hit) } else { *hit };
             let surface = self.scene.surface(ray, hit);
-            let point =
-                Shading { pixel, distance: hit.t, wo: -ray.dir, surface: &surface, numbers, rays: self.settings.rays };
+            let rays = self.settings.rays;
+            let point = Shading { pixel, distance: hit.t, wo: -ray.dir, surface: &surface, numbers, rays };
             let mut radiance = Vec3::ZERO;
             if views > 1.0 {
                 radiance = self.integrator.expected(world, &point);
-            }
-            if shaded {
-                s.queue.sample = i as u32;
-                let known = self.integrator.shade(world, &point, &mut s.draws, &mut s.queue);
-                radiance = views * known - (views - 1.0) * radiance;
-                counts.rays_asked += u64::from(self.settings.rays);
             }
             let aovs = self.settings.aovs.then_some(AovSample {
                 albedo: surface.base_color,
@@ -337,9 +332,16 @@ impl Render<'_> {
                 light: [0.0; 2],
             });
             s.samples.push(Sample { radiance, alpha: 1.0, aovs });
-            if s.queue.rays.len() >= BATCH {
-                flush(world, views, s, counts);
+            if shaded {
+                self.integrator.begin(world, &point, &mut s.draws);
+                let next = Waiting { sample: i, distance: hit.t, surface };
+                if let Some(before) = waiting.replace(next) {
+                    self.shade(world, &before, views, s, counts);
+                }
             }
+        }
+        if let Some(last) = waiting {
+            self.shade(world, &last, views, s, counts);
         }
         flush(world, views, s, counts);
         for (&CameraSample { pixel, numbers, .. }, value) in s.cameras.iter().zip(&s.samples) {
@@ -351,6 +353,22 @@ impl Render<'_> {
             }
         }
         s.cameras.clear();
+    }
+
+    /// Shades a sample: what it is expected to be makes way for what is known, and for what its rays will bring.
+    fn shade(&self, world: &World<'_>, waiting: &Waiting, views: f32, s: &mut Scratch, counts: &mut Counts) {
+        let &Waiting { sample, distance, ref surface } = waiting;
+        let CameraSample { pixel, numbers, .. } = s.cameras[sample];
+        let rays = self.settings.rays;
+        let point = Shading { pixel, distance, wo: -s.rays[sample].dir, surface, numbers, rays };
+        s.queue.sample = sample as u32;
+        let known = self.integrator.shade(world, &point, &mut s.draws, &mut s.queue);
+        let radiance = &mut s.samples[sample].radiance;
+        *radiance = views * known - (views - 1.0) * *radiance;
+        counts.rays_asked += u64::from(rays);
+        if s.queue.rays.len() >= BATCH {
+            flush(world, views, s, counts);
+        }
     }
 
     fn miss(&self, ray: &Ray) -> Sample {
@@ -396,6 +414,14 @@ struct CameraSample {
     numbers: Numbers,
     /// Whether it traces shadow rays.
     shaded: bool,
+}
+
+/// A sample to be shaded when the next one has begun.
+struct Waiting {
+    sample: usize,
+    /// From the camera, metres.
+    distance: f32,
+    surface: Surface,
 }
 
 /// A thread's memory, used again from tile to tile.

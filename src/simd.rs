@@ -3,7 +3,7 @@
 //!
 //! Nothing here is written in intrinsics and no operation is fused or reassociated, so the three forms give the same
 //! bits; a test holds them to it.
-#![allow(unsafe_code, reason = "calls functions compiled for instruction sets that were asked for at run time")]
+#![allow(unsafe_code, reason = "calls functions compiled for instruction sets that were asked for at run time; prefetches")]
 
 /// Code to be compiled for several instruction sets. `run` and all it calls must be `#[inline(always)]`.
 pub trait Kernel {
@@ -28,6 +28,19 @@ pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
         }
     }
     kernel.run()
+}
+
+/// Asks for the line of memory that holds an entry, so that it is near when it is read.
+#[inline(always)]
+pub fn prefetch<T>(row: &[T], i: usize) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(entry) = row.get(i) {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: a prefetch is a hint: it reads nothing, faults on nothing, and every x86-64 has it.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(entry).cast()) }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (row, i);
 }
 
 #[cfg(target_arch = "x86_64")]

@@ -38,6 +38,15 @@ const WIDE: f32 = 0.3;
 struct Direct;
 
 impl Integrator for Direct {
+    fn begin(&self, world: &World<'_>, point: &Shading<'_>, draws: &mut Draws) {
+        if !point.surface.unlit {
+            let bsdf = Bsdf::new(point.surface, point.wo);
+            let shares = Shares::new(&bsdf, point.rays, world.sampler);
+            // Where all come from the lobe as well: a point takes its place in the cache in the order of pixels.
+            world.sampler.begin(&sampled(point, bsdf), shares.dome, draws);
+        }
+    }
+
     fn shade(&self, world: &World<'_>, point: &Shading<'_>, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
         let surface = point.surface;
         if surface.unlit {

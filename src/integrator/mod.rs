@@ -111,6 +111,9 @@ impl Queue {
 
 /// A way to shade points.
 pub trait Integrator: Debug + Send + Sync {
+    /// Says that a point will be shaded next but one: see [`DomeSampler::begin`].
+    fn begin(&self, _world: &World<'_>, _point: &Shading<'_>, _draws: &mut Draws) {}
+
     /// Shades a point: returns the radiance towards the viewer that needs no visibility and queues shadow rays for the
     /// rest. `draws` is scratch.
     fn shade(&self, world: &World<'_>, point: &Shading<'_>, draws: &mut Draws, queue: &mut Queue) -> Vec3;

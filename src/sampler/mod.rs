@@ -114,7 +114,7 @@ pub struct Prepared {
     /// The sketch's form of it: the counts of triangles.
     pub counts: tessellated::Counts,
     /// The tessellated sampler's numbers on their way down the hierarchy.
-    pub block: tessellated::Block,
+    pub walk: tessellated::Walk,
 }
 
 impl Draws {
@@ -157,6 +157,10 @@ pub struct CacheStats {
 
 /// Draws directions towards the dome. See the module for the contract.
 pub trait DomeSampler: Debug + Send + Sync {
+    /// Says that `draw(point, n, out)` will come soon: what can be begun or asked of memory is. Points that begin are
+    /// drawn in the same order, each after the next one has begun. A draw is the same without.
+    fn begin(&self, _point: &Point, _n: u32, _out: &mut Draws) {}
+
     /// Draws at most `n` directions for `point` into `out` (cleared first). Fewer is allowed where fewer suffice, at
     /// least one; directions below the horizon may be among them and carry their density like any other. A draw that
     /// found no light points straight below with radiance 0: it counts, and that is all.

@@ -200,10 +200,7 @@ impl ShadowCache {
         let [x, y] = [0, 1].map(|i| pixel[i] as f32 + 0.5);
         let moved = self.block_of((x + jitter[0] * side).max(0.0), (y + jitter[1] * side).max(0.0));
         let slot = self.nearest(moved, key).or_else(|| self.nearest(self.block_of(x, y), key));
-        slot.map(|slot| Record {
-            slot: slot as u32,
-            visibility: &self.visibility[slot * self.groups..(slot + 1) * self.groups],
-        })
+        slot.map(|slot| Record { slot: slot as u32, visibility: self.visibility(slot) })
     }
 
     fn nearest(&self, block: usize, key: u32) -> Option<usize> {
@@ -249,7 +246,13 @@ impl ShadowCache {
     /// A frozen record and the axis of its normals ([`AXES`]).
     pub fn record(&self, slot: usize) -> Option<(usize, &[u8])> {
         let axis = (self.frozen[slot] & 7).checked_sub(1)?;
-        Some((axis as usize, &self.visibility[slot * self.groups..(slot + 1) * self.groups]))
+        Some((axis as usize, self.visibility(slot)))
+    }
+
+    /// What was frozen of a slot, in 255ths.
+    #[inline]
+    pub fn visibility(&self, slot: usize) -> &[u8] {
+        &self.visibility[slot * self.groups..(slot + 1) * self.groups]
     }
 
     /// Counts look-ups for the statistics.

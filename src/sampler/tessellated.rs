@@ -27,22 +27,23 @@ mod normals;
 mod pages;
 mod seed;
 mod texels;
+mod walk;
 mod weights;
 
-pub use draw::Block;
 pub use seed::Counts;
+pub use walk::Walk;
 pub use weights::{Memo, Weights};
 
 use super::cells::DomeCells;
 use super::preconvolution::Preconvolution;
-use super::shadow_cache::{NO_TARGET, Record, ShadowCache};
+use super::shadow_cache::ShadowCache;
 use super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
-use super::{DomeSampler, Draws, MakeSampler, Point, Prepared, SamplerStats, Setup};
+use super::{DomeSampler, Draws, MakeSampler, Point, SamplerStats, Setup};
 use crate::dome::Dome;
 use crate::error::{Error, Result};
 use crate::registry::{Kind, Opt, Params, Plugin};
 use crate::simd::dispatch;
-use draw::{BLOCK, Descend, LeafCounts, MOST_AT_HORIZON};
+use draw::{LeafCounts, MOST_AT_HORIZON};
 use expected::Expected;
 use glam::Vec3;
 use gloss::WeighLobe;
@@ -56,6 +57,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Instant;
 use texels::Texels;
+use walk::Asked;
 use weights::{Purpose, Weigh, WeighLearned};
 
 /// The plugin.
@@ -222,67 +224,41 @@ impl Tessellated {
         }
     }
 
-    /// Writes out a block that has come down.
-    fn emit(&self, count: usize, learned: bool, target: u32, out: &mut Draws) {
-        let Draws { dir, radiance, pdf, control, target: targets, prepared, .. } = out;
-        let block = &prepared.block;
-        let vector = |rows: &[[f32; BLOCK]; 3], i: usize| Vec3::new(rows[0][i], rows[1][i], rows[2][i]);
-        dir.extend((0..count).map(|i| vector(&block.dir, i)));
-        radiance.extend((0..count).map(|i| vector(&block.radiance, i)));
-        pdf.extend_from_slice(&block.pdf[..count]);
-        if learned {
-            control.extend((0..count).map(|i| vector(&block.radiance, i) * block.factor[i]));
-        }
-        if target != NO_TARGET {
-            targets.extend(block.group[..count].iter().map(|group| target + group));
-        } else if self.learns() {
-            targets.resize(targets.len() + count, NO_TARGET);
+    /// The weights of a point with normal `ns` that reads a record, for `n` directions; the memo's current ones from now on.
+    fn weights<'a>(&self, ns: Vec3, n: u32, record: Option<u32>, memo: &'a mut Memo) -> &'a Weights {
+        let Self { triangles, version, .. } = self;
+        let purpose = |aim| Purpose { version: *version, aim, rays: n, record };
+        match record {
+            Some(slot) => {
+                let irradiance = &self.table[self.normals.cell(ns)];
+                let purpose = purpose(irradiance.aim);
+                memo.get(&purpose, |weights| {
+                    let visibility = self.memory.visibility(slot);
+                    dispatch(WeighLearned { triangles, irradiance, purpose, visibility, weights });
+                })
+            }
+            None => {
+                // Without a control variate the density is all there is: made for the very normal.
+                let purpose = purpose(Aim::exact(ns));
+                memo.get(&purpose, |weights| dispatch(Weigh { triangles, purpose, weights }))
+            }
         }
     }
 }
 
 impl DomeSampler for Tessellated {
+    fn begin(&self, point: &Point, n: u32, out: &mut Draws) {
+        Tessellated::begin(self, point, n, out);
+    }
+
     fn draw(&self, point: &Point, n: u32, out: &mut Draws) {
         out.clear();
-        let (record, target) = self.memory.consult(point, out);
-        let Self { triangles, version, .. } = self;
-        let purpose = |aim, record| Purpose { version: *version, aim, rays: n, record };
-        let weights = match record {
-            Some(Record { slot, visibility }) => {
-                let irradiance = &self.table[self.normals.cell(point.ns)];
-                let purpose = purpose(irradiance.aim, Some(slot));
-                out.prepared.memo.get(&purpose, |weights| {
-                    dispatch(WeighLearned { triangles, irradiance, purpose, visibility, weights })
-                })
-            }
-            None => {
-                // Without a control variate the density is all there is: made for the very normal.
-                let purpose = purpose(Aim::exact(point.ns), None);
-                out.prepared.memo.get(&purpose, |weights| dispatch(Weigh { triangles, purpose, weights }))
-            }
-        };
-        out.integral = weights.integral(point.ns);
-        if weights.total == 0 {
+        self.walk(point, n, out);
+        if out.dir.is_empty() {
             // Nothing shines on this side.
             out.dir.push(-point.ns);
             out.radiance.push(Vec3::ZERO);
             out.pdf.push(1.0);
-            return;
-        }
-        for first in (0..n).step_by(BLOCK) {
-            let count = (n - first).min(BLOCK as u32) as usize;
-            let Prepared { memo, block, .. } = &mut out.prepared;
-            dispatch(Descend {
-                sampler: self,
-                weights: memo.current(),
-                normal: point.ns,
-                numbers: point.numbers,
-                first,
-                count,
-                of: n,
-                block,
-            });
-            self.emit(count, record.is_some(), target, out);
         }
     }
 
@@ -334,13 +310,7 @@ impl DomeSampler for Tessellated {
         if weights.total == 0 {
             return;
         }
-        for first in (0..n).step_by(BLOCK) {
-            let count = (n - first).min(BLOCK as u32) as usize;
-            let Prepared { lobe: weights, block, .. } = &mut out.prepared;
-            let (normal, numbers) = (point.ns, point.numbers);
-            dispatch(Descend { sampler: self, weights, normal, numbers, first, count, of: n, block });
-            self.emit(count, false, target, out);
-        }
+        self.walk_by(&Asked::new(point, n), target, out);
     }
 
     fn pdf_gloss(&self, drawn: &Draws, dir: Vec3, texel: u32) -> f32 {

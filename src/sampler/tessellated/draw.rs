@@ -13,7 +13,7 @@ use crate::sampler::Numbers;
 use crate::sampler::cells::{DrawRow, Place, Sides};
 use crate::sampler::preconvolution::{GROUP_LANES, LEAF_LANES, LeafMoments};
 use crate::sampler::tessellation::LEAVES_A_GROUP;
-use crate::simd::Kernel;
+use crate::simd::{Kernel, prefetch};
 use glam::Vec3;
 use std::hint::select_unpredictable;
 
@@ -25,7 +25,9 @@ pub(super) const BLOCK: usize = 16;
 
 /// A block of numbers. Widths and totals are those of the level last passed.
 #[derive(Debug)]
-pub struct Block {
+pub(super) struct Block {
+    /// How many numbers are in it.
+    pub(super) count: usize,
     /// Random bits, fresh for each level.
     fresh: [u32; BLOCK],
     /// The integer position in the present level's counts.
@@ -70,6 +72,7 @@ const WHOLE_GROUP: u32 = u32::MAX - 1;
 impl Default for Block {
     fn default() -> Self {
         Self {
+            count: 0,
             fresh: [0; BLOCK],
             at: [0; BLOCK],
             offset: [0; BLOCK],
@@ -91,11 +94,10 @@ impl Default for Block {
     }
 }
 
-/// Leads numbers `first..first + count` of `of` from the top to a direction.
-pub(super) struct Descend<'a> {
+/// The first part of the way, for numbers `first..first + count` of `of`: down to a few cells, which memory is asked for.
+pub(super) struct Choose<'a> {
     pub(super) sampler: &'a Tessellated,
     pub(super) weights: &'a Weights,
-    pub(super) normal: Vec3,
     pub(super) numbers: Numbers,
     pub(super) first: u32,
     pub(super) count: usize,
@@ -103,12 +105,13 @@ pub(super) struct Descend<'a> {
     pub(super) block: &'a mut Block,
 }
 
-impl Kernel for Descend<'_> {
+impl Kernel for Choose<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        let Self { sampler, weights, normal, numbers, first, count, of, block } = self;
+        let Self { sampler, weights, numbers, first, count, of, block } = self;
+        block.count = count;
         let step = f64::from(weights.total) / f64::from(of);
         // Loops of arithmetic alone run over the whole block, whatever stands in its rest.
         for i in 0..BLOCK {
@@ -128,7 +131,42 @@ impl Kernel for Descend<'_> {
         for i in 0..BLOCK {
             block.at[i] = whole(remainder(block, i) * f64::from(block.total[i])).min(block.total[i].wrapping_sub(1));
         }
-        block.cells(sampler, weights.aim(), count);
+        block.bounds(sampler, count);
+    }
+}
+
+/// The second part: to one cell, which memory is asked for.
+pub(super) struct Find<'a> {
+    pub(super) sampler: &'a Tessellated,
+    pub(super) aim: Aim,
+    pub(super) block: &'a mut Block,
+}
+
+impl Kernel for Find<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { sampler, aim, block } = self;
+        block.cells(sampler, aim, block.count);
+    }
+}
+
+/// The last part: to directions inside the cells.
+pub(super) struct Aimed<'a> {
+    pub(super) sampler: &'a Tessellated,
+    pub(super) normal: Vec3,
+    pub(super) block: &'a mut Block,
+}
+
+impl Kernel for Aimed<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { sampler, normal, block } = self;
+        let count = block.count;
+        block.sides(sampler, count);
         let half_azimuth = sampler.cells.half_azimuth;
         for i in 0..BLOCK {
             let probability = block.probability[i] as f32 * (block.width[i] as f32 / block.total[i] as f32);
@@ -254,8 +292,9 @@ impl Block {
         }
     }
 
+    /// First and last cell that each may be.
     #[inline(always)]
-    fn cells(&mut self, sampler: &Tessellated, aim: Aim, count: usize) {
+    fn bounds(&mut self, sampler: &Tessellated, count: usize) {
         let texels = &sampler.texels;
         for i in 0..count {
             (self.low[i], self.high[i]) = match self.leaf[i] {
@@ -267,7 +306,13 @@ impl Block {
                     (leaf.begin, leaf.end - 1)
                 }
             };
+            texels.ask_for_bounds(self.low[i], self.high[i]);
         }
+    }
+
+    #[inline(always)]
+    fn cells(&mut self, sampler: &Tessellated, aim: Aim, count: usize) {
+        let texels = &sampler.texels;
         texels.find(&mut self.low[..count], &mut self.high[..count], &self.at[..count]);
         for i in 0..count {
             let (begin, width) = texels.counts(self.low[i], self.group[i]);
@@ -278,8 +323,13 @@ impl Block {
             if leaf < WHOLE_GROUP && leaf & AT_HORIZON != 0 {
                 self.horizon(sampler, texels.leaves[(leaf & !AT_HORIZON) as usize], aim, i);
             }
+            prefetch(texels.order(), self.low[i] as usize);
         }
-        let order = texels.order();
+    }
+
+    #[inline(always)]
+    fn sides(&mut self, sampler: &Tessellated, count: usize) {
+        let order = sampler.texels.order();
         for i in 0..count {
             let Lit { place, radiance } = order[self.low[i] as usize];
             self.place[i] = place;

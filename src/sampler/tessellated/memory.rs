@@ -35,6 +35,12 @@ impl Memory {
         cache.find(point.pixel, key, [a - 0.5, b - 0.5])
     }
 
+    /// What a record that was read says of the groups, in 255ths.
+    pub(super) fn visibility(&self, slot: u32) -> &[u8] {
+        let cache = self.cache.as_ref().expect("records come from a cache");
+        cache.visibility(slot as usize)
+    }
+
     /// The record a point reads, and the target its rays are counted towards.
     pub(super) fn consult(&self, point: &Point, out: &mut Draws) -> (Option<Record<'_>>, u32) {
         let Some(cache) = &self.cache else { return (None, NO_TARGET) };

@@ -4,6 +4,7 @@ use super::super::cells::{DomeCells, Place};
 use super::super::preconvolution::Preconvolution;
 use super::super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
 use super::pages::Row;
+use crate::simd::prefetch;
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 use std::hint::select_unpredictable;
@@ -107,6 +108,13 @@ impl Texels {
         let bucket = group * GUIDES + (at >> BUCKET) as usize;
         let guide = self.guide.get();
         (guide[bucket], guide[bucket + 1])
+    }
+
+    /// Asks for what [`Self::find`] will read between two places.
+    #[inline(always)]
+    pub(super) fn ask_for_bounds(&self, low: u32, high: u32) {
+        prefetch(self.begins.get(), low as usize);
+        prefetch(self.begins.get(), high as usize);
     }
 
     /// Narrows `low..=high` down to the place that count `at` of the group falls to: `low`. All of them a step at a
