@@ -16,8 +16,8 @@ use crate::integrator::visibility::{self, nearest};
 use crate::integrator::{Integrator, Queue, Shading, World};
 use crate::random;
 use crate::sampler::{DomeSampler, Draws, Numbers};
-use crate::scene::{Scene, Surface};
 use crate::scene::camera::View;
+use crate::scene::{Scene, Surface};
 use glam::Vec3;
 use rayon::prelude::*;
 use schedule::Pass;
@@ -317,7 +317,8 @@ impl Render<'_> {
                 continue;
             }
             let hit = &if shaded { self.scene.refined(ray, hit) } else { *hit };
-            let surface = self.scene.surface(ray, hit);
+            let placed = shaded || self.settings.aovs;
+            let surface = if placed { self.scene.surface(ray, hit) } else { self.scene.look(ray, hit) };
             let rays = self.settings.rays;
             let point = Shading { pixel, distance: hit.t, wo: -ray.dir, surface: &surface, numbers, rays };
             let mut radiance = Vec3::ZERO;

@@ -3,7 +3,10 @@
 //!
 //! Nothing here is written in intrinsics and no operation is fused or reassociated, so the three forms give the same
 //! bits; a test holds them to it.
-#![allow(unsafe_code, reason = "calls functions compiled for instruction sets that were asked for at run time; prefetches")]
+#![allow(
+    unsafe_code,
+    reason = "calls functions compiled for instruction sets that were asked for at run time; prefetches"
+)]
 
 /// Code to be compiled for several instruction sets. `run` and all it calls must be `#[inline(always)]`.
 pub trait Kernel {

@@ -53,8 +53,8 @@ use normals::{Aim, Normals};
 use rayon::prelude::*;
 use seed::Seed;
 use std::io::{self, Read, Write};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 use texels::Texels;
 use walk::Asked;
@@ -123,8 +123,8 @@ pub struct Tessellated {
     places: Vec<(u32, u32)>,
     memory: Memory,
     normals: Normals,
-    /// The groups as each cell of normals sees them; empty without a cache.
-    table: Vec<Irradiance>,
+    /// The groups as each cell of normals sees them, made when the first such normal turns up; empty without a cache.
+    table: Vec<OnceLock<Irradiance>>,
     /// What surfaces are expected to receive; empty without a cache.
     expected: Expected,
     /// Never the same for two samplers or two stages: what was made for another is made anew.
@@ -141,22 +141,6 @@ const NORMALS: u64 = 2304;
 /// Groups of the horizon with less than this share of the light are not taken apart leaf by leaf for a cell of normals: the
 /// control variate leaves them out.
 const TABLE_NOTABLE: f32 = 3e-5;
-
-/// The groups as every cell of normals sees them.
-fn irradiances(triangles: &Preconvolution, normals: Normals) -> Vec<Irradiance> {
-    let make = |cell| {
-        let mut irradiance = Irradiance::default();
-        dispatch(Sweep {
-            triangles,
-            aim: normals.aim(cell),
-            notable: TABLE_NOTABLE,
-            parts: true,
-            irradiance: &mut irradiance,
-        });
-        irradiance
-    };
-    (0..normals.count()).into_par_iter().map(make).collect()
-}
 
 /// A texel with more than so many times the light of all others leaves single precision no digits for them.
 const MOST_CONTRAST: f64 = 1e5;
@@ -209,7 +193,7 @@ impl Tessellated {
         }
         let cache = cached.then(|| shadow_cache(params, setup, preconvolved.groups.x.len()));
         let normals = Normals::new(params.integer("normals").unwrap_or(NORMALS) as usize);
-        let table = if cache.is_some() { irradiances(&preconvolved, normals) } else { Vec::new() };
+        let table = if cache.is_some() { vec![OnceLock::new(); normals.count()] } else { Vec::new() };
         let expected = if cache.is_some() { Expected::new(&preconvolved) } else { Expected::default() };
         let (memory, triangles) = (Memory::new(cache), preconvolved);
         let prepare_s = start.elapsed().as_secs_f64();
@@ -224,13 +208,24 @@ impl Tessellated {
         }
     }
 
+    /// The groups as a cell of normals sees them.
+    #[inline]
+    fn irradiance(&self, cell: usize) -> &Irradiance {
+        self.table[cell].get_or_init(|| {
+            let (triangles, aim) = (&self.triangles, self.normals.aim(cell));
+            let mut irradiance = Irradiance::default();
+            dispatch(Sweep { triangles, aim, notable: TABLE_NOTABLE, parts: true, irradiance: &mut irradiance });
+            irradiance
+        })
+    }
+
     /// The weights of a point with normal `ns` that reads a record, for `n` directions; the memo's current ones from now on.
     fn weights<'a>(&self, ns: Vec3, n: u32, record: Option<u32>, memo: &'a mut Memo) -> &'a Weights {
         let Self { triangles, version, .. } = self;
         let purpose = |aim| Purpose { version: *version, aim, rays: n, record };
         match record {
             Some(slot) => {
-                let irradiance = &self.table[self.normals.cell(ns)];
+                let irradiance = self.irradiance(self.normals.cell(ns));
                 let purpose = purpose(irradiance.aim);
                 memo.get(&purpose, |weights| {
                     let visibility = self.memory.visibility(slot);
@@ -371,7 +366,7 @@ impl DomeSampler for Tessellated {
 
     fn stats(&self) -> SamplerStats {
         let moments = 15 * 4 * (self.triangles.groups.x.len() + self.texels.leaves.len());
-        let table: usize = self.table.iter().map(Irradiance::bytes).sum();
+        let table: usize = self.table.iter().filter_map(OnceLock::get).map(Irradiance::bytes).sum();
         let bytes = moments + self.texels.bytes() + table + size_of_val(&self.places[..]);
         SamplerStats {
             prepare_s: self.prepare_s,

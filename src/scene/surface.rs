@@ -154,9 +154,14 @@ impl Scene {
 
     /// What `ray` met at `hit`, ready to be shaded. The direction need not be of unit length.
     pub fn surface(&self, ray: &Ray, hit: &Hit) -> Surface {
+        let (position, error) = self.hit_triangle(hit).position();
+        Surface { position, error, ..self.look(ray, hit) }
+    }
+
+    /// The same but for its place: enough for what traces no ray from there.
+    pub fn look(&self, ray: &Ray, hit: &Hit) -> Surface {
         let t = self.hit_triangle(hit);
         let m = t.material;
-        let (position, error) = t.position();
         let wo = -ray.dir.normalize_or(Vec3::NEG_Z);
         let front = t.front().try_normalize().unwrap_or(wo);
         let ng = if front.dot(wo) < 0.0 { -front } else { front };
@@ -190,8 +195,8 @@ impl Scene {
         // KHR_materials_specular; an index of 0 stands for a Fresnel term of 1 (KHR_materials_ior).
         let f0 = if m.ior == 0.0 { 1.0 } else { ((m.ior - 1.0) / (m.ior + 1.0)).powi(2) };
         Surface {
-            position,
-            error,
+            position: Vec3::NAN,
+            error: f32::NAN,
             ng,
             ns,
             base_color: base,

@@ -98,6 +98,7 @@ impl Default for Block {
 pub(super) struct Choose<'a> {
     pub(super) sampler: &'a Tessellated,
     pub(super) weights: &'a Weights,
+    pub(super) leaves: &'a mut LeafMemo,
     pub(super) numbers: Numbers,
     pub(super) first: u32,
     pub(super) count: usize,
@@ -110,7 +111,7 @@ impl Kernel for Choose<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { sampler, weights, numbers, first, count, of, block } = self;
+        let Self { sampler, weights, leaves, numbers, first, count, of, block } = self;
         block.count = count;
         let step = f64::from(weights.total) / f64::from(of);
         // Loops of arithmetic alone run over the whole block, whatever stands in its rest.
@@ -127,7 +128,7 @@ impl Kernel for Choose<'_> {
         for i in 0..BLOCK {
             block.probability[i] = f64::from(block.width[i]) / total;
         }
-        block.leaves(sampler, weights, count);
+        block.leaves(sampler, weights, leaves, count);
         for i in 0..BLOCK {
             block.at[i] = whole(remainder(block, i) * f64::from(block.total[i])).min(block.total[i].wrapping_sub(1));
         }
@@ -253,9 +254,7 @@ impl Block {
 
     /// Where the cosine matters, a leaf first: without a control variate, and at the horizon.
     #[inline(always)]
-    fn leaves(&mut self, sampler: &Tessellated, weights: &Weights, count: usize) {
-        let mut made = LeafCounts::default();
-        let mut made_for = u32::MAX;
+    fn leaves(&mut self, sampler: &Tessellated, weights: &Weights, memo: &mut LeafMemo, count: usize) {
         for i in 0..count {
             let group = self.group[i];
             self.control[i] = weights.control[group as usize];
@@ -263,11 +262,12 @@ impl Block {
                 (self.leaf[i], self.total[i]) = (WHOLE_GROUP, sampler.texels.groups[group as usize].counts);
                 continue;
             }
-            if group != made_for {
-                made = LeafCounts::new(&sampler.triangles.leaves[group as usize], weights.aim());
-                made_for = group;
+            let entry = memo.entry(weights.stamp, group);
+            if (entry.stamp, entry.group) != (weights.stamp, group) {
+                let counts = LeafCounts::new(&sampler.triangles.leaves[group as usize], weights.aim());
+                *entry = LeafEntry { stamp: weights.stamp, group, counts };
             }
-            self.leaf(sampler, &made, i);
+            self.leaf(sampler, &entry.counts, i);
         }
     }
 
@@ -458,6 +458,33 @@ impl LeafCounts {
             row += usize::from(self.begins[slot] <= at);
         }
         row * LEAF_LANES + lane
+    }
+}
+
+/// Leaf counts made lately: points that share weights share the groups of their horizon.
+#[derive(Debug)]
+pub(super) struct LeafMemo(Box<[LeafEntry; 64]>);
+
+/// A group's counts under the weights with a stamp.
+#[derive(Debug, Clone, Copy, Default)]
+struct LeafEntry {
+    stamp: u64,
+    group: u32,
+    counts: LeafCounts,
+}
+
+impl Default for LeafMemo {
+    fn default() -> Self {
+        Self(Box::new([LeafEntry::default(); 64]))
+    }
+}
+
+impl LeafMemo {
+    /// Where a group's counts are if they are at hand.
+    #[inline(always)]
+    fn entry(&mut self, stamp: u64, group: u32) -> &mut LeafEntry {
+        let hash = random::mix(group.wrapping_add((stamp as u32).wrapping_mul(0x9e37_79b9)));
+        &mut self.0[hash as usize % self.0.len()]
     }
 }
 

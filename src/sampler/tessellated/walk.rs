@@ -5,9 +5,8 @@
 //! waits for its predecessor: [`Tessellated::begin`] for point i + 1 comes before [`Tessellated::walk`] for point i.
 
 use super::Tessellated;
-use super::draw::{Aimed, BLOCK, Block, Choose, Find};
-use super::normals::Aim;
-use super::weights::Weights;
+use super::draw::{Aimed, BLOCK, Block, Choose, Find, LeafMemo};
+use super::weights::{Purpose, Weights};
 use crate::sampler::shadow_cache::NO_TARGET;
 use crate::sampler::{DomeSampler, Draws, Numbers, Point, Prepared};
 use crate::simd::dispatch;
@@ -39,12 +38,10 @@ enum Stage {
 #[derive(Debug, Clone, Copy)]
 struct Begun {
     asked: Asked,
-    /// Of the sampler, as it learns.
-    version: u64,
     stage: Stage,
-    aim: Aim,
-    /// The shadow cache's record that it reads.
-    record: Option<u32>,
+    /// What its weights are for, and where they were.
+    purpose: Purpose,
+    entry: usize,
     /// Where its rays are counted.
     target: u32,
 }
@@ -57,6 +54,7 @@ pub struct Walk {
     /// Which of the two has begun last.
     last: usize,
     rest: [Block; 2],
+    leaves: LeafMemo,
 }
 
 impl Tessellated {
@@ -64,41 +62,46 @@ impl Tessellated {
     pub(super) fn begin(&self, point: &Point, n: u32, out: &mut Draws) {
         let (record, target) = self.memory.consult(point, out);
         let record = record.map(|record| record.slot);
-        let Prepared { memo, walk: Walk { begun, first, last, .. }, .. } = &mut out.prepared;
-        if let Some(Begun { stage: stage @ Stage::Chosen, aim, .. }) = &mut begun[*last] {
-            dispatch(Find { sampler: self, aim: *aim, block: &mut first[*last] });
+        let Prepared { memo, walk: Walk { begun, first, last, leaves, .. }, .. } = &mut out.prepared;
+        if let Some(Begun { stage: stage @ Stage::Chosen, purpose, .. }) = &mut begun[*last] {
+            dispatch(Find { sampler: self, aim: purpose.aim, block: &mut first[*last] });
             *stage = Stage::Found;
         }
         *last = 1 - *last;
         let weights = self.weights(point.ns, n, record, memo);
-        let (asked, aim) = (Asked::new(point, n), weights.aim());
+        let (asked, purpose) = (Asked::new(point, n), weights.purpose);
         let stage = if n > 0 && weights.total > 0 { Stage::Chosen } else { Stage::Asked };
         if stage == Stage::Chosen {
-            self.choose(weights, &asked, 0, &mut first[*last]);
+            self.choose(weights, leaves, &asked, 0, &mut first[*last]);
         }
-        begun[*last] = Some(Begun { asked, version: self.version, stage, aim, record, target });
+        begun[*last] = Some(Begun { asked, stage, purpose, entry: memo.place(), target });
     }
 
     /// All directions asked for, begun before or not.
     pub(super) fn walk(&self, point: &Point, n: u32, out: &mut Draws) {
         let asked = Asked::new(point, n);
-        let of_point = |begun: &Option<Begun>| begun.is_some_and(|b| b.asked == asked && b.version == self.version);
+        let of_point =
+            |begun: &Option<Begun>| begun.is_some_and(|b| b.asked == asked && b.purpose.version == self.version);
         if !out.prepared.walk.begun.iter().any(of_point) {
             self.begin(point, n, out);
         }
         let slot = usize::from(!of_point(&out.prepared.walk.begun[0]));
         let begun = out.prepared.walk.begun[slot].take().expect("it has begun");
         let Draws { dir, radiance, pdf, control, integral, target: targets, prepared, .. } = out;
-        let Prepared { memo, walk: Walk { first, rest: [rest, _], .. }, .. } = prepared;
-        let weights = self.weights(point.ns, n, begun.record, memo);
+        let Prepared { memo, walk: Walk { first, rest: [rest, _], leaves, .. }, .. } = prepared;
+        let record = begun.purpose.record;
+        if !memo.recall(&begun.purpose, begun.entry) {
+            self.weights(point.ns, n, record, memo);
+        }
+        let weights = memo.current();
         *integral = weights.integral(point.ns);
         if weights.total == 0 {
             return;
         }
         let mut lists = Lists { dir, radiance, pdf, targets, target: begun.target, learns: self.learns() };
-        self.descend(weights, &asked, begun.stage, [&mut first[slot], rest], |block| {
+        self.descend((weights, leaves), &asked, begun.stage, [&mut first[slot], rest], |block| {
             lists.add(block);
-            if begun.record.is_some() {
+            if record.is_some() {
                 control.extend((0..block.count).map(|i| vector(&block.radiance, i) * block.factor[i]));
             }
         });
@@ -108,19 +111,20 @@ impl Tessellated {
     pub(super) fn walk_by(&self, asked: &Asked, target: u32, out: &mut Draws) {
         let Draws { dir, radiance, pdf, target: targets, prepared: Prepared { lobe, walk, .. }, .. } = out;
         let mut lists = Lists { dir, radiance, pdf, targets, target, learns: self.learns() };
-        let [block, ahead] = &mut walk.rest;
-        self.descend(lobe, asked, Stage::Asked, [block, ahead], |block| lists.add(block));
+        let Walk { rest: [block, ahead], leaves, .. } = walk;
+        self.descend((lobe, leaves), asked, Stage::Asked, [block, ahead], |block| lists.add(block));
     }
 
-    fn choose(&self, weights: &Weights, &Asked { numbers, n, .. }: &Asked, first: u32, block: &mut Block) {
+    fn choose(&self, weights: &Weights, leaves: &mut LeafMemo, asked: &Asked, first: u32, block: &mut Block) {
+        let &Asked { numbers, n, .. } = asked;
         let count = (n - first).min(BLOCK as u32) as usize;
-        dispatch(Choose { sampler: self, weights, numbers, first, count, of: n, block });
+        dispatch(Choose { sampler: self, weights, leaves, numbers, first, count, of: n, block });
     }
 
     /// Block after block, each a part ahead of the one before.
     fn descend(
         &self,
-        weights: &Weights,
+        (weights, leaves): (&Weights, &mut LeafMemo),
         asked: &Asked,
         stage: Stage,
         [mut block, mut ahead]: [&mut Block; 2],
@@ -128,14 +132,14 @@ impl Tessellated {
     ) {
         let find = |block: &mut Block| dispatch(Find { sampler: self, aim: weights.aim(), block });
         if stage == Stage::Asked {
-            self.choose(weights, asked, 0, block);
+            self.choose(weights, leaves, asked, 0, block);
         }
         if stage != Stage::Found {
             find(block);
         }
         for next in (0..asked.n).step_by(BLOCK).skip(1).map(Some).chain([None]) {
             if let Some(next) = next {
-                self.choose(weights, asked, next, ahead);
+                self.choose(weights, leaves, asked, next, ahead);
             }
             dispatch(Aimed { sampler: self, normal: asked.normal, block });
             emit(block);

@@ -33,7 +33,9 @@ pub(super) struct Purpose {
 /// The weights of the points that share a purpose.
 #[derive(Debug, Default)]
 pub struct Weights {
-    purpose: Purpose,
+    pub(super) purpose: Purpose,
+    /// Of the memo they are in: never the same for two; 0 for none.
+    pub(super) stamp: u64,
     /// The irradiance for a normal of its own.
     own: Irradiance,
     /// Whether a group's cells are drawn by energy alone.
@@ -220,6 +222,8 @@ pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
 pub struct Memo {
     entries: [Weights; 32],
     current: usize,
+    /// How many were made.
+    made: u64,
 }
 
 impl Memo {
@@ -232,8 +236,21 @@ impl Memo {
         let weights = &mut self.entries[self.current];
         if weights.purpose != *purpose {
             make(weights);
+            self.made += 1;
+            weights.stamp = self.made;
         }
         weights
+    }
+
+    /// Where those asked for last are.
+    pub(super) fn place(&self) -> usize {
+        self.current
+    }
+
+    /// Takes up weights that were asked for before; false if others have taken their place.
+    pub(super) fn recall(&mut self, purpose: &Purpose, place: usize) -> bool {
+        self.current = place;
+        self.current().purpose == *purpose
     }
 
     /// Those asked for last.
