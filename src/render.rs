@@ -230,7 +230,8 @@ impl Render<'_> {
                 state.picture.film.merge(tile);
                 state.picture.counts.add(tile_counts);
             }
-            if pass.ends_stage {
+            // What nobody goes by need not be worked out.
+            if pass.ends_stage && state.passes + 1 < passes.len() as u32 {
                 sampler.next_stage();
             }
             done += pass.work();

@@ -189,7 +189,7 @@ impl Shade<'_> {
         self.world.sampler.draw(&point, self.shares.dome, draws);
         let n = draws.dir.len() as f32;
         let k = self.bsdf.diffuse * FRAC_1_PI;
-        let control: Vec3 = draws.control.iter().zip(&draws.pdf).map(|(&control, pdf)| control / pdf).sum();
+        let control: Vec3 = draws.control.iter().zip(&draws.pdf).map(|(&control, pdf)| control * pdf.recip()).sum();
         // All directions are on the normal's side: they begin at one place.
         let origin = offset_origin(surface.position, surface.error, ng, ng);
         let lambert = self.is_apart().then(|| k / n);

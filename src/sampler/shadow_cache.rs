@@ -10,6 +10,7 @@
 //! is the same for any number of threads.
 
 use super::preconvolution::GROUP_LANES;
+use crate::simd::{Kernel, dispatch};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::io::{self, Read, Write};
@@ -34,7 +35,7 @@ const NEIGHBOURS: usize = 8;
 const NEAR: u32 = 2;
 
 /// What a slot's expected irradiance takes beside it ([`super::tessellated`]).
-const EXPECTED_BYTES: usize = 31 * 4;
+const EXPECTED_BYTES: usize = 32 * 4;
 
 /// The axes of records' normals, as keys count them.
 pub const AXES: [Vec3; 6] = [Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z];
@@ -63,67 +64,99 @@ pub struct ShadowCache {
 /// What the records of one kind in a region of blocks have seen together: what each of them is taken for before it has seen
 /// much itself.
 struct Region {
-    /// Rays that arrived, rays, by group.
-    counts: Vec<(f32, f32)>,
+    /// Rays that arrived by group.
+    seen: Vec<f32>,
+    /// Rays by group.
+    rays: Vec<f32>,
     /// m by group.
     visibility: Vec<f32>,
 }
 
 /// The mean of a Beta posterior for `seen` of `rays`.
+#[inline(always)]
 fn posterior((seen, rays): (f32, f32), prior: f32) -> f32 {
     (seen + PRIOR * prior) / (rays + PRIOR)
 }
 
-fn read(count: &AtomicU16) -> (f32, f32) {
-    let value = count.load(Relaxed);
-    (f32::from(value & 0xff), f32::from(value >> 8))
+/// Adds a record's counts to its region's.
+struct Add<'a> {
+    record: &'a mut [AtomicU16],
+    region: &'a mut Region,
+}
+
+impl Kernel for Add<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Region { seen, rays, .. } = self.region;
+        for ((seen, rays), count) in seen.iter_mut().zip(rays).zip(self.record) {
+            let count = *count.get_mut();
+            *seen += f32::from(count & 0xff);
+            *rays += f32::from(count >> 8);
+        }
+    }
+}
+
+/// What a record of a region is taken for that has seen `record`.
+struct Refine<'a> {
+    record: &'a mut [AtomicU16],
+    region: &'a Region,
+    m: &'a mut [u8],
+}
+
+impl Kernel for Refine<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { record, region, m } = self;
+        let mut arrived = 0;
+        for ((m, count), &known) in m.iter_mut().zip(record).zip(&region.visibility) {
+            let count = *count.get_mut();
+            arrived |= count & 0xff;
+            let mean = posterior((f32::from(count & 0xff), f32::from(count >> 8)), known);
+            *m = (mean * 255.0 + 0.5) as i32 as u8;
+        }
+        if arrived == 0 {
+            // No light at all: as far as anyone knows it is dark here, and the estimate exactly so.
+            m.fill(0);
+        }
+    }
 }
 
 impl Region {
     fn new(groups: usize) -> Self {
-        Self { counts: vec![(0.0, 0.0); groups], visibility: vec![0.0; groups] }
+        Self { seen: vec![0.0; groups], rays: vec![0.0; groups], visibility: vec![0.0; groups] }
     }
 
-    /// Takes the counts of all its records.
-    fn sum_up<'a>(&mut self, records: impl Iterator<Item = &'a [AtomicU16]>) {
-        let Self { counts, visibility } = self;
-        counts.fill((0.0, 0.0));
-        for record in records {
-            for (sum, count) in counts.iter_mut().zip(record) {
-                let (seen, rays) = read(count);
-                *sum = (sum.0 + seen, sum.1 + rays);
-            }
-        }
+    fn clear(&mut self) {
+        self.seen.fill(0.0);
+        self.rays.fill(0.0);
+    }
+
+    /// What the counts of all its records say.
+    fn sum_up(&mut self) {
+        let Self { seen, rays, visibility } = self;
+        let counts = |g: usize| (seen[g], rays[g]);
         let add = |a: (f32, f32), b: (f32, f32)| (a.0 + b.0, a.1 + b.1);
         // A lane is a piece of the curve: neighbours on the dome share what is known of them.
         let mut lanes = [(0.0, 0.0); GROUP_LANES];
-        for (g, &count) in counts.iter().enumerate() {
-            lanes[g % GROUP_LANES] = add(lanes[g % GROUP_LANES], count);
+        for g in 0..seen.len() {
+            lanes[g % GROUP_LANES] = add(lanes[g % GROUP_LANES], counts(g));
         }
         let whole = posterior(lanes.iter().fold((0.0, 0.0), |a, &b| add(a, b)), 0.5);
         let lanes = lanes.map(|lane| posterior(lane, whole));
-        let rows = counts.len() / GROUP_LANES;
-        for (lane, &known) in lanes.iter().enumerate() {
-            for first in (0..rows).step_by(NEIGHBOURS) {
-                let near = first..(first + NEIGHBOURS).min(rows);
-                let near = near.map(|row| row * GROUP_LANES + lane);
-                let known = posterior(near.clone().map(|g| counts[g]).fold((0.0, 0.0), add), known);
+        let rows = seen.len() / GROUP_LANES;
+        for first in (0..rows).step_by(NEIGHBOURS) {
+            let near = first..(first + NEIGHBOURS).min(rows);
+            for (lane, &known) in lanes.iter().enumerate() {
+                let near = near.clone().map(|row| row * GROUP_LANES + lane);
+                let known = posterior(near.clone().map(counts).fold((0.0, 0.0), add), known);
                 for g in near {
-                    visibility[g] = posterior(counts[g], known);
+                    visibility[g] = posterior(counts(g), known);
                 }
             }
-        }
-    }
-
-    /// What a record is taken for that has seen `record`.
-    fn refine(&self, record: &[AtomicU16], m: &mut [u8]) {
-        if record.iter().all(|count| read(count).0 == 0.0) {
-            // No light at all: as far as anyone knows it is dark here, and the estimate exactly so.
-            m.fill(0);
-            return;
-        }
-        for ((m, count), &known) in m.iter_mut().zip(record).zip(&self.visibility) {
-            *m = (posterior(read(count), known) * 255.0 + 0.5) as u8;
         }
     }
 }
@@ -243,12 +276,6 @@ impl ShadowCache {
         self.frozen.len()
     }
 
-    /// A frozen record and the axis of its normals ([`AXES`]).
-    pub fn record(&self, slot: usize) -> Option<(usize, &[u8])> {
-        let axis = (self.frozen[slot] & 7).checked_sub(1)?;
-        Some((axis as usize, self.visibility(slot)))
-    }
-
     /// What was frozen of a slot, in 255ths.
     #[inline]
     pub fn visibility(&self, slot: usize) -> &[u8] {
@@ -268,11 +295,12 @@ impl ShadowCache {
         for (frozen, key) in frozen.iter_mut().zip(keys.iter()) {
             *frozen = key.load(Relaxed);
         }
-        let (frozen, counts) = (&*frozen, &*counts);
+        let frozen = &*frozen;
         // Rows of blocks, so that regions are pieces of them side by side.
         let row = blocks[0] as usize * SLOTS;
         let rows = row * REGION;
-        visibility.par_chunks_mut(rows * groups).enumerate().for_each(|(y, visibility)| {
+        let pieces = visibility.par_chunks_mut(rows * groups).zip(counts.par_chunks_mut(rows * groups));
+        pieces.enumerate().for_each(|(y, (visibility, counts))| {
             let first = y * rows;
             let count = visibility.len() / groups;
             let mut region = Region::new(groups);
@@ -280,16 +308,21 @@ impl ShadowCache {
                 let columns = x..(x + REGION * SLOTS).min(row);
                 let slots = (0..count).step_by(row).flat_map(|line| columns.clone().map(move |slot| line + slot));
                 let held: Vec<usize> = slots.filter(|slot| frozen[first + slot] != 0).collect();
-                let of = |slot: usize| &counts[(first + slot) * groups..(first + slot + 1) * groups];
+                let of = |slot: usize| slot * groups..(slot + 1) * groups;
                 for (i, &slot) in held.iter().enumerate() {
                     let key = frozen[first + slot];
                     if held[..i].iter().any(|&before| frozen[first + before] == key) {
                         continue;
                     }
                     let alike = || held[i..].iter().copied().filter(|&other| frozen[first + other] == key);
-                    region.sum_up(alike().map(of));
+                    region.clear();
                     for slot in alike() {
-                        region.refine(of(slot), &mut visibility[slot * groups..(slot + 1) * groups]);
+                        dispatch(Add { record: &mut counts[of(slot)], region: &mut region });
+                    }
+                    region.sum_up();
+                    for slot in alike() {
+                        let (record, m) = (&mut counts[of(slot)], &mut visibility[of(slot)]);
+                        dispatch(Refine { record, region: &region, m });
                     }
                 }
             }
@@ -329,7 +362,7 @@ impl ShadowCache {
 
     /// Records, bytes, hit rate.
     pub fn stats(&self) -> (u64, u64, f64) {
-        let records = self.frozen.iter().filter(|&&key| key != 0).count() as u64;
+        let records = self.keys.iter().filter(|key| key.load(Relaxed) != 0).count() as u64;
         let bytes = records * (self.groups as u64 * 3) + (self.keys.len() * (8 + EXPECTED_BYTES)) as u64;
         let lookups = self.lookups.load(Relaxed).max(1);
         (records, bytes, self.hits.load(Relaxed) as f64 / lookups as f64)

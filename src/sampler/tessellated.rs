@@ -203,7 +203,7 @@ impl Tessellated {
     /// Goes by what the cache has counted from now on.
     fn warm_up(&mut self) {
         if let Some(cache) = self.memory.cache() {
-            self.expected.learn(cache);
+            self.expected.forget(cache.slots());
             self.version = next_version();
         }
     }
@@ -331,8 +331,7 @@ impl DomeSampler for Tessellated {
     }
 
     fn expected(&self, point: &Point) -> Vec3 {
-        let slot = self.memory.read(point).map(|record| record.slot);
-        self.expected.irradiance(slot, ShadowCache::axis(point.ng), point.ns)
+        self.expected.irradiance(self.memory.read(point), ShadowCache::axis(point.ng), point.ns)
     }
 
     fn tile_multiple(&self) -> u32 {

@@ -8,10 +8,10 @@
 
 use super::weights::dot;
 use crate::sampler::preconvolution::Preconvolution;
-use crate::sampler::shadow_cache::{AXES, ShadowCache};
+use crate::sampler::shadow_cache::{AXES, Record};
 use crate::simd::{Kernel, dispatch};
 use glam::Vec3;
-use rayon::prelude::*;
+use std::sync::OnceLock;
 
 /// Terms of a quadratic form on the sphere: x, y, z, x², y², z², xy, xz, yz.
 const TERMS: usize = 9;
@@ -48,8 +48,8 @@ pub(super) struct Expected {
     groups: Vec<[[Vec<f32>; TERMS]; 3]>,
     /// The brightest groups.
     bright: Vec<Bright>,
-    /// By the cache's slots.
-    records: Vec<Expectation>,
+    /// By the cache's slots, made when first asked for.
+    records: Vec<OnceLock<Expectation>>,
     /// By axis where there is no record: of every group half, for nobody knows.
     unknown: Vec<Expectation>,
 }
@@ -71,22 +71,20 @@ impl Expected {
         Self { groups, bright, records: Vec::new(), unknown }
     }
 
-    /// Takes over what the cache has frozen.
-    pub(super) fn learn(&mut self, cache: &ShadowCache) {
-        let Self { groups, bright, records, .. } = self;
-        records.resize(cache.slots(), Expectation::default());
-        records.par_iter_mut().enumerate().for_each(|(slot, record)| {
-            if let Some((axis, visibility)) = cache.record(slot) {
-                *record = summed(&groups[axis], bright, visibility);
-            }
-        });
+    /// Forgets what was expected of `slots` records: they are others now.
+    pub(super) fn forget(&mut self, slots: usize) {
+        self.records.clear();
+        self.records.resize_with(slots, OnceLock::new);
     }
 
-    /// About the irradiance on normal `n`, W·m⁻² a channel.
+    /// About the irradiance on normal `n` by a record of that `axis`, W·m⁻² a channel.
     #[inline]
-    pub(super) fn irradiance(&self, slot: Option<u32>, axis: usize, n: Vec3) -> Vec3 {
-        let Expectation { forms, bright } = match slot {
-            Some(slot) => &self.records[slot as usize],
+    pub(super) fn irradiance(&self, record: Option<Record<'_>>, axis: usize, n: Vec3) -> Vec3 {
+        let Self { groups, bright: of_groups, .. } = self;
+        let Expectation { forms, bright } = match record {
+            Some(Record { slot, visibility }) => {
+                self.records[slot as usize].get_or_init(|| summed(&groups[axis], of_groups, visibility))
+            }
             None => &self.unknown[axis],
         };
         let terms = [n.x, n.y, n.z, n.x * n.x, n.y * n.y, n.z * n.z, n.x * n.y, n.x * n.z, n.y * n.z];
@@ -181,14 +179,15 @@ mod tests {
         let mut expected = Expected::new(&triangles);
         let visible = vec![255; triangles.groups.x.len()];
         for (i, axis) in AXES.into_iter().enumerate() {
-            expected.records = vec![summed(&expected.groups[i], &expected.bright, &visible)];
+            expected.forget(1);
+            let record = Some(Record { slot: 0, visibility: &visible });
             for n in [axis, (axis + 0.3 * axis.any_orthonormal_vector()).normalize()] {
                 let mut exact = Vec3::ZERO;
                 for cell in 0..cells.count() as u32 {
                     let cosine = cells.mean_direction(cell).as_vec3().dot(n).max(0.0);
                     exact += cells.radiance(cell) * (cells.solid_angle(cell) as f32 * cosine);
                 }
-                let error = (expected.irradiance(Some(0), i, n) - exact).abs();
+                let error = (expected.irradiance(record, i, n) - exact).abs();
                 // The quadratic is off by up to 3/32 of what shines about the horizon; all the sky does, the sun does not.
                 let sky: Vec3 = cells.dome().texels.iter().map(|&t| Vec3::from(t)).filter(|t| t.x < 2.0).sum();
                 let most = sky / cells.dome().texels.len() as f32 * (3.0 / 32.0 * 4.0 * std::f32::consts::PI);
