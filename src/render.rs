@@ -250,19 +250,10 @@ impl Render<'_> {
         if self.integrator.expects(sampler) { self.settings.camera_rays() } else { 1 }
     }
 
-    /// The tiles of the crop window, aligned to the full image so that crops cut the same ones.
+    /// The tiles of the crop window.
     fn tiles(&self, multiple: u32) -> Vec<[u32; 4]> {
-        let [x0, y0, width, height] = self.settings.crop;
         let side = self.settings.tile.max(1).next_multiple_of(multiple);
-        let mut tiles = Vec::new();
-        for ty in y0 / side..(y0 + height).div_ceil(side) {
-            for tx in x0 / side..(x0 + width).div_ceil(side) {
-                let (left, top) = ((tx * side).max(x0), (ty * side).max(y0));
-                let (right, bottom) = (((tx + 1) * side).min(x0 + width), ((ty + 1) * side).min(y0 + height));
-                tiles.push([left, top, right - left, bottom - top]);
-            }
-        }
-        tiles
+        blocks(self.settings.crop, side).collect()
     }
 
     fn tile(&self, world: &World<'_>, pass: &Pass, [x, y, width, height]: [u32; 4], s: &mut Scratch) -> (Film, Counts) {
@@ -270,10 +261,11 @@ impl Render<'_> {
         let mut counts = Counts::default();
         let views = self.views(world.sampler);
         let each = schedule::replicate(&self.settings);
-        // Row by row, all samples of a pixel together: the order in which the cache counts is the order of pixels.
+        // Block by block of what a sampler keeps together, all samples of a pixel together: neighbours share what is prepared.
+        // What is counted in a block is counted in the order of its pixels.
         s.cameras.clear();
-        for row in y..y + height {
-            for column in x..x + width {
+        for [x, y, width, height] in blocks([x, y, width, height], world.sampler.tile_multiple()) {
+            for (row, column) in (y..y + height).flat_map(|row| (x..x + width).map(move |column| (row, column))) {
                 if !pass.lattice.takes(column, row) {
                     continue;
                 }
@@ -381,6 +373,18 @@ impl Render<'_> {
         let alpha = if self.settings.background == Background::Transparent { 0.0 } else { 1.0 };
         Sample { radiance, alpha, aovs: self.settings.aovs.then_some(AovSample::default()) }
     }
+}
+
+/// The blocks of `side` pixels that a window is cut into, aligned to the full image so that all windows cut the same ones.
+fn blocks([x0, y0, width, height]: [u32; 4], side: u32) -> impl Iterator<Item = [u32; 4]> {
+    let within = move |at: u32, first: u32, count: u32| ((at * side).max(first), ((at + 1) * side).min(first + count));
+    let of = move |first: u32, count: u32| first / side..(first + count).div_ceil(side);
+    of(y0, height).flat_map(move |row| {
+        of(x0, width).map(move |column| {
+            let ((left, right), (top, bottom)) = (within(column, x0, width), within(row, y0, height));
+            [left, top, right - left, bottom - top]
+        })
+    })
 }
 
 /// Traces the queue and adds what arrives to its samples, each of which stands for `views`.
