@@ -21,6 +21,7 @@ use crate::scene::{Scene, Surface};
 use glam::Vec3;
 use rayon::prelude::*;
 use schedule::Pass;
+use std::hint::select_unpredictable;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::time::Instant;
 
@@ -392,17 +393,24 @@ fn flush(world: &World<'_>, views: f32, s: &mut Scratch, counts: &mut Counts) {
     let queue = &mut s.queue;
     counts.shadow_rays += queue.rays.len() as u64;
     visibility::occluded(world.scene, world.accel, &queue.rays, &mut s.occluded, &mut s.visibility);
-    for i in 0..queue.rays.len() {
-        let sample = &mut s.samples[queue.samples[i] as usize];
-        let arrives = s.occluded[i] == 0;
-        if arrives {
-            sample.radiance += views * queue.contributions[i];
-            counts.max_weight = counts.max_weight.max(queue.contributions[i].max_element());
+    let mut rest = (&queue.contributions[..], &s.occluded[..]);
+    for of_sample in queue.samples.chunk_by(|a, b| a == b) {
+        let (contributions, occluded);
+        ((contributions, rest.0), (occluded, rest.1)) =
+            (rest.0.split_at(of_sample.len()), rest.1.split_at(of_sample.len()));
+        let sample = &mut s.samples[of_sample[0] as usize];
+        for (&contribution, &occluded) in contributions.iter().zip(occluded) {
+            // No branch: whether light arrives is a coin's toss.
+            let arrives = select_unpredictable(occluded == 0, contribution, Vec3::ZERO);
+            sample.radiance += views * arrives;
+            counts.max_weight = counts.max_weight.max(arrives.max_element());
         }
         if let Some(aovs) = &mut sample.aovs {
-            let light = Dome::weight(queue.contributions[i].to_array());
-            aovs.light[1] += light;
-            aovs.light[0] += if arrives { light } else { 0.0 };
+            for (&contribution, &occluded) in contributions.iter().zip(occluded) {
+                let light = Dome::weight(contribution.to_array());
+                aovs.light[1] += light;
+                aovs.light[0] += if occluded == 0 { light } else { 0.0 };
+            }
         }
     }
     queue.in_order(&mut s.occluded);

@@ -7,6 +7,7 @@
 use super::{Mask, Ray};
 use crate::error::{Error, Result};
 use crate::scene::Scene;
+use crate::simd::{Kernel, dispatch};
 use glam::{Affine3A, Vec3};
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -89,14 +90,40 @@ pub(super) fn ray_limit(placements: &[Placement]) -> f32 {
     limit
 }
 
+/// Whether all rays can be traced for certain, in vector code: a ray that is good may be left to the full test.
+struct AllGood<'a> {
+    rays: &'a [Ray],
+    limit: f32,
+}
+
+impl Kernel for AllGood<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run(self) -> bool {
+        let limit = self.limit.min(1.8e18).next_down();
+        // Origin, tnear, direction, tfar. Comparisons with NaN are false.
+        let most = [limit, limit, limit, f32::INFINITY, limit, limit, limit, f32::INFINITY];
+        let least = [-limit, -limit, -limit, 0.0, -limit, -limit, -limit, 0.0];
+        let (mut within, mut leads) = ([true; 8], true);
+        for ray in bytemuck::cast_slice::<Ray, [f32; 8]>(self.rays) {
+            for i in 0..8 {
+                within[i] &= (least[i] <= ray[i]) & (ray[i] <= most[i]);
+            }
+            let [.., tnear, x, y, z, tfar] = *ray;
+            leads &= (tnear <= tfar) & ((x != 0.0) | (y != 0.0) | (z != 0.0));
+        }
+        leads & within.into_iter().all(|within| within)
+    }
+}
+
 /// The rays, with those that can't be traced (or that go beyond `limit`) replaced by one that meets nothing; those are
 /// added to `invalid`.
 pub(super) fn traceable<'a>(rays: &'a [Ray], limit: f32, invalid: &AtomicU64) -> Cow<'a, [Ray]> {
-    let good = |ray: &Ray| ray.is_valid() & (ray.origin.abs().max(ray.dir.abs()).max_element() < limit);
-    // Without an early exit the test is done on several rays at once.
-    if rays.iter().fold(true, |all, ray| all & good(ray)) {
+    if dispatch(AllGood { rays, limit }) {
         return Cow::Borrowed(rays);
     }
+    let good = |ray: &Ray| ray.is_valid() && ray.origin.abs().max(ray.dir.abs()).max_element() < limit;
     // It ends before it starts.
     let nothing = Ray { origin: Vec3::ZERO, tnear: 1.0, dir: Vec3::Y, tfar: 0.0 };
     let mut replaced = 0;

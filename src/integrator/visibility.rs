@@ -25,13 +25,13 @@ fn key(ray: &Ray) -> u32 {
     random::hash(&[o[0], o[1], o[2], d[0], d[1], d[2]].map(f32::to_bits))
 }
 
-/// Whether a hit counts for a ray with this key.
-fn covers(scene: &Scene, key: u32, hit: &Hit) -> bool {
+/// Whether a hit counts for a ray: `ray` as it was before it stepped through anything.
+fn covers(scene: &Scene, ray: &Ray, hit: &Hit) -> bool {
     if !scene.mesh_has_alpha(scene.instances[hit.instance as usize].mesh) {
         return true;
     }
     let coverage = scene.coverage(hit);
-    coverage >= 1.0 || random::unit(random::hash(&[key, hit.instance, hit.triangle])) < coverage
+    coverage >= 1.0 || random::unit(random::hash(&[key(ray), hit.instance, hit.triangle])) < coverage
 }
 
 /// Whether the camera sees the side of the triangle that the ray meets.
@@ -53,7 +53,7 @@ pub fn nearest(scene: &Scene, accel: &dyn Accel, rays: &[Ray], hits: &mut Vec<Hi
     hits.clear();
     hits.resize(rays.len(), Hit::MISS);
     accel.intersect(rays, Mask::All, Coherence::Coherent, hits);
-    let solid = |ray: &Ray, hit: &Hit| !hit.is_hit() || (faces(scene, ray, hit) && covers(scene, key(ray), hit));
+    let solid = |ray: &Ray, hit: &Hit| !hit.is_hit() || (faces(scene, ray, hit) && covers(scene, ray, hit));
     scratch.waiting.clear();
     scratch.waiting.extend((0..rays.len() as u32).filter(|&i| !solid(&rays[i as usize], &hits[i as usize])));
     let mut layer = 0;
@@ -103,7 +103,7 @@ pub fn occluded(scene: &Scene, accel: &dyn Accel, rays: &[Ray], out: &mut Vec<u8
             if !hit.is_hit() {
                 continue;
             }
-            if covers(scene, key(ray), &hit) || layer >= MOST_LAYERS {
+            if covers(scene, ray, &hit) || layer >= MOST_LAYERS {
                 out[i as usize] = 1;
                 continue;
             }

@@ -31,6 +31,7 @@ pub struct DomeCells {
     draw_rows: Vec<DrawRow>,
     /// Half a cell's azimuth.
     pub(super) half_azimuth: f32,
+    half_diagonal: f64,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -122,8 +123,21 @@ impl DomeCells {
         let draw_columns = columns.iter().map(|c| [c.cos as f32, c.sin as f32]).collect();
         let draw_rows = rows.iter().map(|row| row.draw).collect();
         let half_azimuth = half_azimuth as f32;
+        let half_diagonal = 0.5 * step.hypot(2.0 * PI / f64::from(width));
         let reciprocal = u64::MAX / u64::from(width) + 1;
-        Self { dome, parts, width, height, reciprocal, columns, rows, draw_columns, draw_rows, half_azimuth }
+        Self {
+            dome,
+            parts,
+            width,
+            height,
+            reciprocal,
+            columns,
+            rows,
+            draw_columns,
+            draw_rows,
+            half_azimuth,
+            half_diagonal,
+        }
     }
 
     /// The dome.
@@ -187,8 +201,9 @@ impl DomeCells {
     }
 
     /// An upper bound on the angle between a cell's centre and any direction in it, radians.
+    #[inline(always)]
     pub fn half_diagonal(&self) -> f64 {
-        0.5 * (PI / f64::from(self.height)).hypot(2.0 * PI / f64::from(self.width))
+        self.half_diagonal
     }
 
     /// Row and column of a cell, for [`Self::sides`].

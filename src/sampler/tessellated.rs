@@ -49,7 +49,7 @@ use glam::Vec3;
 use gloss::WeighLobe;
 use irradiance::{Irradiance, Sweep};
 use memory::Memory;
-use normals::{Aim, Normals};
+use normals::Normals;
 use rayon::prelude::*;
 use seed::Seed;
 use std::io::{self, Read, Write};
@@ -58,7 +58,7 @@ use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 use texels::Texels;
 use walk::Asked;
-use weights::{Purpose, Weigh, WeighLearned};
+use weights::{Purpose, Subject, Weigh, WeighLearned};
 
 /// The plugin.
 pub const PLUGIN: Plugin<MakeSampler> = Plugin {
@@ -222,22 +222,18 @@ impl Tessellated {
     /// The weights of a point with normal `ns` that reads a record, for `n` directions; the memo's current ones from now on.
     fn weights<'a>(&self, ns: Vec3, n: u32, record: Option<u32>, memo: &'a mut Memo) -> &'a Weights {
         let Self { triangles, version, .. } = self;
-        let purpose = |aim| Purpose { version: *version, aim, rays: n, record };
-        match record {
-            Some(slot) => {
-                let irradiance = self.irradiance(self.normals.cell(ns));
-                let purpose = purpose(irradiance.aim);
-                memo.get(&purpose, |weights| {
-                    let visibility = self.memory.visibility(slot);
-                    dispatch(WeighLearned { triangles, irradiance, purpose, visibility, weights });
-                })
+        let subject = match record {
+            Some(record) => Subject::Learned { cell: self.normals.cell(ns) as u32, record },
+            // Without a control variate the density is all there is: made for the very normal.
+            None => Subject::Normal(ns),
+        };
+        memo.get(&Purpose { version: *version, rays: n, subject }, |weights| match subject {
+            Subject::Learned { cell, record } => {
+                let (irradiance, visibility) = (self.irradiance(cell as usize), self.memory.visibility(record));
+                dispatch(WeighLearned { triangles, irradiance, visibility, weights });
             }
-            None => {
-                // Without a control variate the density is all there is: made for the very normal.
-                let purpose = purpose(Aim::exact(ns));
-                memo.get(&purpose, |weights| dispatch(Weigh { triangles, purpose, weights }))
-            }
-        }
+            Subject::Normal(normal) => dispatch(Weigh { triangles, normal, rays: n, weights }),
+        })
     }
 }
 
@@ -271,10 +267,10 @@ impl DomeSampler for Tessellated {
         let in_group = if weights.goes_by_energy(group) {
             share(width, self.texels.groups[group].counts)
         } else {
-            let counts = LeafCounts::new(&self.triangles.leaves[group], weights.aim());
+            let counts = LeafCounts::new(&self.triangles.leaves[group], weights.aim);
             let leaf = self.texels.leaves[slot];
             let in_leaf = if !counts.above(leaf_of_group) && leaf.end - leaf.begin <= MOST_AT_HORIZON {
-                let width = |place| self.horizon_width(place, group as u32, weights.aim());
+                let width = |place| self.horizon_width(place, group as u32, weights.aim);
                 share(width(place), (leaf.begin..leaf.end).map(width).sum())
             } else {
                 share(width, leaf.counts)

@@ -264,7 +264,7 @@ impl Block {
             }
             let entry = memo.entry(weights.stamp, group);
             if (entry.stamp, entry.group) != (weights.stamp, group) {
-                let counts = LeafCounts::new(&sampler.triangles.leaves[group as usize], weights.aim());
+                let counts = LeafCounts::new(&sampler.triangles.leaves[group as usize], weights.aim);
                 *entry = LeafEntry { stamp: weights.stamp, group, counts };
             }
             self.leaf(sampler, &entry.counts, i);

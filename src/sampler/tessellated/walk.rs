@@ -6,6 +6,7 @@
 
 use super::Tessellated;
 use super::draw::{Aimed, BLOCK, Block, Choose, Find, LeafMemo};
+use super::normals::Aim;
 use super::weights::{Purpose, Weights};
 use crate::sampler::shadow_cache::NO_TARGET;
 use crate::sampler::{DomeSampler, Draws, Numbers, Point, Prepared};
@@ -42,6 +43,9 @@ struct Begun {
     /// What its weights are for, and where they were.
     purpose: Purpose,
     entry: usize,
+    aim: Aim,
+    /// The shadow cache's record that it reads.
+    record: Option<u32>,
     /// Where its rays are counted.
     target: u32,
 }
@@ -63,18 +67,18 @@ impl Tessellated {
         let (record, target) = self.memory.consult(point, out);
         let record = record.map(|record| record.slot);
         let Prepared { memo, walk: Walk { begun, first, last, leaves, .. }, .. } = &mut out.prepared;
-        if let Some(Begun { stage: stage @ Stage::Chosen, purpose, .. }) = &mut begun[*last] {
-            dispatch(Find { sampler: self, aim: purpose.aim, block: &mut first[*last] });
+        if let Some(Begun { stage: stage @ Stage::Chosen, aim, .. }) = &mut begun[*last] {
+            dispatch(Find { sampler: self, aim: *aim, block: &mut first[*last] });
             *stage = Stage::Found;
         }
         *last = 1 - *last;
         let weights = self.weights(point.ns, n, record, memo);
-        let (asked, purpose) = (Asked::new(point, n), weights.purpose);
+        let (asked, purpose, aim) = (Asked::new(point, n), weights.purpose, weights.aim);
         let stage = if n > 0 && weights.total > 0 { Stage::Chosen } else { Stage::Asked };
         if stage == Stage::Chosen {
             self.choose(weights, leaves, &asked, 0, &mut first[*last]);
         }
-        begun[*last] = Some(Begun { asked, stage, purpose, entry: memo.place(), target });
+        begun[*last] = Some(Begun { asked, stage, purpose, entry: memo.place(), aim, record, target });
     }
 
     /// All directions asked for, begun before or not.
@@ -89,7 +93,7 @@ impl Tessellated {
         let begun = out.prepared.walk.begun[slot].take().expect("it has begun");
         let Draws { dir, radiance, pdf, control, integral, target: targets, prepared, .. } = out;
         let Prepared { memo, walk: Walk { first, rest: [rest, _], leaves, .. }, .. } = prepared;
-        let record = begun.purpose.record;
+        let record = begun.record;
         if !memo.recall(&begun.purpose, begun.entry) {
             self.weights(point.ns, n, record, memo);
         }
@@ -130,7 +134,7 @@ impl Tessellated {
         [mut block, mut ahead]: [&mut Block; 2],
         mut emit: impl FnMut(&Block),
     ) {
-        let find = |block: &mut Block| dispatch(Find { sampler: self, aim: weights.aim(), block });
+        let find = |block: &mut Block| dispatch(Find { sampler: self, aim: weights.aim, block });
         if stage == Stage::Asked {
             self.choose(weights, leaves, asked, 0, block);
         }

@@ -25,15 +25,40 @@ pub(super) struct Purpose {
     /// Which sampler, at which stage of its learning; 0 for none.
     pub(super) version: u64,
     pub(super) rays: u32,
-    pub(super) aim: Aim,
-    /// The shadow cache's record, if there is one.
-    pub(super) record: Option<u32>,
+    pub(super) subject: Subject,
+}
+
+/// Whose weights.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Subject {
+    /// One normal's, where the shadow cache knows nothing.
+    Normal(Vec3),
+    /// Those of a cell of normals and of a record of the shadow cache.
+    Learned { cell: u32, record: u32 },
+}
+
+impl Default for Subject {
+    fn default() -> Self {
+        Self::Normal(Vec3::ZERO)
+    }
+}
+
+impl Subject {
+    #[inline(always)]
+    fn hash(&self) -> u32 {
+        match self {
+            Self::Normal(n) => random::hash(&[n.x.to_bits(), n.y.to_bits(), n.z.to_bits()]),
+            Self::Learned { cell, record } => random::combine(*cell, *record),
+        }
+    }
 }
 
 /// The weights of the points that share a purpose.
 #[derive(Debug, Default)]
 pub struct Weights {
     pub(super) purpose: Purpose,
+    /// Which normals they serve.
+    pub(super) aim: Aim,
     /// Of the memo they are in: never the same for two; 0 for none.
     pub(super) stamp: u64,
     /// The irradiance for a normal of its own.
@@ -59,7 +84,8 @@ pub struct Weights {
 /// Makes the weights of one normal, of which the cache knows nothing.
 pub(super) struct Weigh<'a> {
     pub(super) triangles: &'a Preconvolution,
-    pub(super) purpose: Purpose,
+    pub(super) normal: Vec3,
+    pub(super) rays: u32,
     pub(super) weights: &'a mut Weights,
 }
 
@@ -68,17 +94,17 @@ impl Kernel for Weigh<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { triangles, purpose, weights } = self;
-        let notable = NOTABLE / (purpose.rays as f32 * purpose.rays as f32);
+        let Self { triangles, normal, rays, weights } = self;
+        let notable = NOTABLE / (rays as f32 * rays as f32);
         let irradiance = &mut weights.own;
-        Sweep { triangles, aim: purpose.aim, notable, parts: false, irradiance }.run();
+        Sweep { triangles, aim: Aim::exact(normal), notable, parts: false, irradiance }.run();
         weights.resize(irradiance_len(triangles));
         weights.by_energy.fill(false);
         weights.weighted.copy_from_slice(&weights.own.importance);
         weights.control.fill(0.0);
         weights.flux = [Vec3::ZERO; 3];
         weights.count();
-        weights.purpose = purpose;
+        weights.aim = Aim::exact(normal);
     }
 }
 
@@ -86,7 +112,6 @@ impl Kernel for Weigh<'_> {
 pub(super) struct WeighLearned<'a> {
     pub(super) triangles: &'a Preconvolution,
     pub(super) irradiance: &'a Irradiance,
-    pub(super) purpose: Purpose,
     /// The record's visibilities in 255ths.
     pub(super) visibility: &'a [u8],
     pub(super) weights: &'a mut Weights,
@@ -97,7 +122,7 @@ impl Kernel for WeighLearned<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { triangles, irradiance, purpose, visibility, weights } = self;
+        let Self { triangles, irradiance, visibility, weights } = self;
         let count = irradiance_len(triangles);
         weights.resize(count);
         let (status, importance) = (&irradiance.status[..count], &irradiance.importance[..count]);
@@ -125,7 +150,7 @@ impl Kernel for WeighLearned<'_> {
         let channel = |c: usize| Vec3::new(flux[3 * c], flux[3 * c + 1], flux[3 * c + 2]);
         weights.flux = [channel(0), channel(1), channel(2)];
         weights.count();
-        weights.purpose = purpose;
+        weights.aim = irradiance.aim;
     }
 }
 
@@ -134,12 +159,6 @@ fn irradiance_len(triangles: &Preconvolution) -> usize {
 }
 
 impl Weights {
-    /// What they were made for.
-    #[inline(always)]
-    pub(super) fn aim(&self) -> Aim {
-        self.purpose.aim
-    }
-
     /// Whether a group's cells are drawn by energy alone.
     #[inline(always)]
     pub(super) fn goes_by_energy(&self, group: usize) -> bool {
@@ -230,14 +249,12 @@ impl Memo {
     /// The weights for a purpose, made by `make` unless they are at hand.
     #[inline]
     pub(super) fn get(&mut self, purpose: &Purpose, make: impl FnOnce(&mut Weights)) -> &Weights {
-        let axis = purpose.aim.axis.to_array().map(f32::to_bits);
-        let hash = random::hash(&[axis[0], axis[1], axis[2], purpose.record.unwrap_or(u32::MAX)]);
-        self.current = hash as usize % self.entries.len();
+        self.current = purpose.subject.hash() as usize % self.entries.len();
         let weights = &mut self.entries[self.current];
         if weights.purpose != *purpose {
             make(weights);
             self.made += 1;
-            weights.stamp = self.made;
+            (weights.purpose, weights.stamp) = (*purpose, self.made);
         }
         weights
     }
