@@ -317,7 +317,7 @@ impl Render<'_> {
             let point = Shading { pixel, distance: hit.t, wo: -ray.dir, surface: &surface, numbers, rays };
             let mut radiance = Vec3::ZERO;
             if views > 1.0 {
-                radiance = self.integrator.expected(world, &point);
+                radiance = self.integrator.expected(world, &point, &mut s.draws);
             }
             let aovs = self.settings.aovs.then_some(AovSample {
                 albedo: surface.base_color,

@@ -70,7 +70,7 @@ impl Integrator for Direct {
         sampler.expects()
     }
 
-    fn expected(&self, world: &World<'_>, point: &Shading<'_>) -> Vec3 {
+    fn expected(&self, world: &World<'_>, point: &Shading<'_>, draws: &mut Draws) -> Vec3 {
         let surface = point.surface;
         if surface.unlit {
             return surface.base_color;
@@ -78,7 +78,7 @@ impl Integrator for Direct {
         let bsdf = Bsdf::new(surface, point.wo);
         // A lobe shows about what the normal's side shines with.
         let reflects = bsdf.diffuse + bsdf.specular.map_or(Vec3::ZERO, |s| s.f0);
-        surface.emission + reflects * FRAC_1_PI * world.sampler.expected(&sampled(point, bsdf))
+        surface.emission + reflects * FRAC_1_PI * world.sampler.expected(&sampled(point, bsdf), draws)
     }
 }
 
@@ -193,24 +193,36 @@ impl Shade<'_> {
         // All directions are on the normal's side: they begin at one place.
         let origin = offset_origin(surface.position, surface.error, ng, ng);
         let lambert = self.is_apart().then(|| k / n);
-        for (i, ((&dir, &radiance), &pdf)) in draws.dir.iter().zip(&draws.radiance).zip(&draws.pdf).enumerate() {
-            let cosine = dir.dot(ns);
-            let target = draws.target.get(i);
-            if cosine <= 0.0 || dir.dot(ng) <= 0.0 || radiance == Vec3::ZERO {
+        let Draws { dir, radiance, pdf, target, .. } = &*draws;
+        let leads_out = |i: usize| dir[i].dot(ns) > 0.0 && dir[i].dot(ng) > 0.0 && radiance[i] != Vec3::ZERO;
+        let mut from = 0;
+        while from < dir.len() {
+            if !leads_out(from) {
                 // Hidden by the surface itself: no ray, but the control variate still counts.
-                if radiance != Vec3::ZERO
-                    && let Some(&target) = target
+                if radiance[from] != Vec3::ZERO
+                    && let Some(&target) = target.get(from)
                 {
                     queue.hide(target);
                 }
+                from += 1;
                 continue;
             }
-            let contribution = match lambert {
-                Some(lambert) => radiance * lambert * (cosine / pdf),
-                None => radiance * self.reflectance(dir, n * pdf) * cosine,
-            };
-            queue.push(Ray::new(origin, dir), contribution);
-            queue.targets.extend(target);
+            let to = (from..dir.len()).find(|&i| !leads_out(i)).unwrap_or(dir.len());
+            let run = dir[from..to].iter().zip(&radiance[from..to]).zip(&pdf[from..to]);
+            let targets = target.get(from..to).unwrap_or_default();
+            match lambert {
+                Some(lambert) => {
+                    let add = |((dir, radiance), pdf): ((&Vec3, &Vec3), &f32)| radiance * lambert * (dir.dot(ns) / pdf);
+                    queue.extend(origin, &dir[from..to], run.map(add), targets);
+                }
+                None => {
+                    let add = |((&dir, &radiance), pdf): ((&Vec3, &Vec3), &f32)| {
+                        radiance * self.reflectance(dir, n * pdf) * dir.dot(ns)
+                    };
+                    queue.extend(origin, &dir[from..to], run.map(add), targets);
+                }
+            }
+            from = to;
         }
         k * (draws.integral - control / n)
     }

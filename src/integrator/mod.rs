@@ -99,6 +99,21 @@ impl Queue {
         }
     }
 
+    /// Queues rays of the current sample from one place.
+    #[inline]
+    pub fn extend(
+        &mut self,
+        origin: Vec3,
+        dirs: &[Vec3],
+        contributions: impl ExactSizeIterator<Item = Vec3>,
+        targets: &[u32],
+    ) {
+        self.rays.extend(dirs.iter().map(|&dir| Ray::new(origin, dir)));
+        self.contributions.extend(contributions);
+        self.samples.resize(self.rays.len(), self.sample);
+        self.targets.extend_from_slice(targets);
+    }
+
     /// Empties the queue, keeping its memory.
     pub fn clear(&mut self) {
         self.rays.clear();
@@ -124,8 +139,8 @@ pub trait Integrator: Debug + Send + Sync {
     }
 
     /// What a point is taken for where no shadow ray is traced: any function of the point and of what was learned before
-    /// this stage, the nearer to its radiance the better.
-    fn expected(&self, _world: &World<'_>, _point: &Shading<'_>) -> Vec3 {
+    /// this stage, the nearer to its radiance the better. `draws` is scratch.
+    fn expected(&self, _world: &World<'_>, _point: &Shading<'_>, _draws: &mut Draws) -> Vec3 {
         Vec3::ZERO
     }
 

@@ -113,6 +113,8 @@ pub struct Prepared {
     pub lobe: tessellated::Weights,
     /// The sketch's form of it: the counts of triangles.
     pub counts: tessellated::Counts,
+    /// The tessellated sampler's record of the shadow cache, last read.
+    pub found: tessellated::Found,
     /// The tessellated sampler's numbers on their way down the hierarchy.
     pub walk: tessellated::Walk,
 }
@@ -191,8 +193,8 @@ pub trait DomeSampler: Debug + Send + Sync {
     }
 
     /// About the irradiance at a point, W·m⁻² a channel, for a fraction of what a draw costs: a function of the point and
-    /// of what was learned before this stage.
-    fn expected(&self, _point: &Point) -> Vec3 {
+    /// of what was learned before this stage. `out` is scratch.
+    fn expected(&self, _point: &Point, _out: &mut Draws) -> Vec3 {
         Vec3::ZERO
     }
 

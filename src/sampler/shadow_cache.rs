@@ -226,14 +226,14 @@ impl ShadowCache {
         clamp(y, self.blocks[1]) * self.blocks[0] as usize + clamp(x, self.blocks[0])
     }
 
-    /// The frozen record that a point reads: of its kind of surface, at the distance nearest to its own. `jitter` (two
+    /// The slot of the frozen record that a point reads: of its kind of surface, at the distance nearest to its own. `jitter` (two
     /// numbers in [−½, ½)) moves the look-up by up to half a block, so that the edges of blocks turn into noise.
-    pub fn find(&self, pixel: [u32; 2], key: u32, jitter: [f32; 2]) -> Option<Record<'_>> {
+    pub fn find(&self, pixel: [u32; 2], key: u32, jitter: [f32; 2]) -> Option<u32> {
         let side = self.block as f32;
         let [x, y] = [0, 1].map(|i| pixel[i] as f32 + 0.5);
         let moved = self.block_of((x + jitter[0] * side).max(0.0), (y + jitter[1] * side).max(0.0));
         let slot = self.nearest(moved, key).or_else(|| self.nearest(self.block_of(x, y), key));
-        slot.map(|slot| Record { slot: slot as u32, visibility: self.visibility(slot) })
+        slot.map(|slot| slot as u32)
     }
 
     fn nearest(&self, block: usize, key: u32) -> Option<usize> {

@@ -30,6 +30,7 @@ mod texels;
 mod walk;
 mod weights;
 
+pub use memory::Found;
 pub use seed::Counts;
 pub use walk::Walk;
 pub use weights::{Memo, Weights};
@@ -53,7 +54,6 @@ use normals::Normals;
 use rayon::prelude::*;
 use seed::Seed;
 use std::io::{self, Read, Write};
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 use texels::Texels;
@@ -127,8 +127,6 @@ pub struct Tessellated {
     table: Vec<OnceLock<Irradiance>>,
     /// What surfaces are expected to receive; empty without a cache.
     expected: Expected,
-    /// Never the same for two samplers or two stages: what was made for another is made anew.
-    version: u64,
     prepare_s: f64,
 }
 
@@ -162,12 +160,6 @@ fn is_tame(dome: &Dome) -> bool {
     (1e-30..1e36).contains(&brightest) && (rest == 0.0 || most <= MOST_CONTRAST * rest)
 }
 
-/// A number that was not given out before; never 0.
-fn next_version() -> u64 {
-    static LAST: AtomicU64 = AtomicU64::new(0);
-    LAST.fetch_add(1, Relaxed) + 1
-}
-
 impl Tessellated {
     fn new(dome: &Arc<Dome>, params: &Params, setup: &Setup) -> Self {
         let start = Instant::now();
@@ -197,14 +189,13 @@ impl Tessellated {
         let expected = if cache.is_some() { Expected::new(&preconvolved) } else { Expected::default() };
         let (memory, triangles) = (Memory::new(cache), preconvolved);
         let prepare_s = start.elapsed().as_secs_f64();
-        Self { cells, triangles, texels, places, memory, normals, table, expected, version: next_version(), prepare_s }
+        Self { cells, triangles, texels, places, memory, normals, table, expected, prepare_s }
     }
 
     /// Goes by what the cache has counted from now on.
     fn warm_up(&mut self) {
         if let Some(cache) = self.memory.cache() {
             self.expected.forget(cache.slots());
-            self.version = next_version();
         }
     }
 
@@ -221,15 +212,15 @@ impl Tessellated {
 
     /// The weights of a point with normal `ns` that reads a record, for `n` directions; the memo's current ones from now on.
     fn weights<'a>(&self, ns: Vec3, n: u32, record: Option<u32>, memo: &'a mut Memo) -> &'a Weights {
-        let Self { triangles, version, .. } = self;
+        let Self { triangles, memory, .. } = self;
         let subject = match record {
             Some(record) => Subject::Learned { cell: self.normals.cell(ns) as u32, record },
             // Without a control variate the density is all there is: made for the very normal.
             None => Subject::Normal(ns),
         };
-        memo.get(&Purpose { version: *version, rays: n, subject }, |weights| match subject {
+        memo.get(&Purpose { version: memory.version(), rays: n, subject }, |weights| match subject {
             Subject::Learned { cell, record } => {
-                let (irradiance, visibility) = (self.irradiance(cell as usize), self.memory.visibility(record));
+                let (irradiance, visibility) = (self.irradiance(cell as usize), memory.visibility(record));
                 dispatch(WeighLearned { triangles, irradiance, visibility, weights });
             }
             Subject::Normal(normal) => dispatch(Weigh { triangles, normal, rays: n, weights }),
@@ -326,8 +317,9 @@ impl DomeSampler for Tessellated {
         self.memory.is_warm()
     }
 
-    fn expected(&self, point: &Point) -> Vec3 {
-        self.expected.irradiance(self.memory.read(point), ShadowCache::axis(point.ng), point.ns)
+    fn expected(&self, point: &Point, out: &mut Draws) -> Vec3 {
+        let record = self.memory.read(point, &mut out.prepared.found);
+        self.expected.irradiance(record, ShadowCache::axis(point.ng), point.ns)
     }
 
     fn tile_multiple(&self) -> u32 {

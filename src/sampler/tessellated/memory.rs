@@ -4,17 +4,40 @@ use crate::random;
 use crate::sampler::shadow_cache::{NO_TARGET, Record, ShadowCache};
 use crate::sampler::{CacheStats, Draws, Point};
 use std::io::{self, Read, Write};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// A cache, if there is one, and whether it has anything to say.
 #[derive(Debug)]
 pub(super) struct Memory {
     cache: Option<ShadowCache>,
     warm: bool,
+    version: u64,
+}
+
+/// The record read last: samples of a pixel mostly read the same one.
+#[derive(Debug, Default)]
+pub struct Found {
+    version: u64,
+    seed: u32,
+    pixel: [u32; 2],
+    key: u32,
+    slot: Option<u32>,
+}
+
+/// A number that was not given out before; never 0.
+fn next_version() -> u64 {
+    static LAST: AtomicU64 = AtomicU64::new(0);
+    LAST.fetch_add(1, Relaxed) + 1
 }
 
 impl Memory {
     pub(super) fn new(cache: Option<ShadowCache>) -> Self {
-        Self { cache, warm: false }
+        Self { cache, warm: false, version: next_version() }
+    }
+
+    /// Never the same for two samplers or two stages: what was made for another is made anew.
+    pub(super) fn version(&self) -> u64 {
+        self.version
     }
 
     pub(super) fn cache(&self) -> Option<&ShadowCache> {
@@ -27,12 +50,17 @@ impl Memory {
     }
 
     /// The record that a point reads. One look-up's jitter a pixel: its samples then share their weights.
-    pub(super) fn read(&self, point: &Point) -> Option<Record<'_>> {
+    pub(super) fn read(&self, point: &Point, last: &mut Found) -> Option<Record<'_>> {
         let cache = self.cache.as_ref().filter(|_| self.warm)?;
-        let jitter = random::combine(point.numbers.seed, 0x5ad0);
+        let (pixel, seed) = (point.pixel, point.numbers.seed);
+        let jitter = random::combine(seed, 0x5ad0);
         let [a, b, c] = [jitter, random::mix(jitter), random::mix(jitter ^ 0x9e37_79b9)].map(random::unit);
         let key = ShadowCache::key(point.ng, point.distance, c - 0.5);
-        cache.find(point.pixel, key, [a - 0.5, b - 0.5])
+        if (last.version, last.seed, last.pixel, last.key) != (self.version, seed, pixel, key) {
+            let slot = cache.find(pixel, key, [a - 0.5, b - 0.5]);
+            *last = Found { version: self.version, seed, pixel, key, slot };
+        }
+        last.slot.map(|slot| Record { slot, visibility: cache.visibility(slot as usize) })
     }
 
     /// What a record that was read says of the groups, in 255ths.
@@ -45,7 +73,7 @@ impl Memory {
     pub(super) fn consult(&self, point: &Point, out: &mut Draws) -> (Option<Record<'_>>, u32) {
         let Some(cache) = &self.cache else { return (None, NO_TARGET) };
         let target = cache.admit(point.pixel, ShadowCache::key(point.ng, point.distance, 0.0));
-        let record = self.read(point);
+        let record = self.read(point, &mut out.prepared.found);
         out.lookups += u64::from(self.warm);
         out.found += u64::from(record.is_some());
         (record, target)
@@ -66,6 +94,7 @@ impl Memory {
         if let Some(cache) = &mut self.cache {
             cache.freeze();
             self.warm = true;
+            self.version = next_version();
         }
     }
 
@@ -80,6 +109,7 @@ impl Memory {
         let mut warm = [0];
         input.read_exact(&mut warm)?;
         self.warm = warm != [0];
+        self.version = next_version();
         cache.restore(input)
     }
 

@@ -39,7 +39,6 @@ pub(super) struct Seed {
     /// Where the cache counts each triangle: its neighbours on the curve are its neighbours there.
     slots: Vec<u32>,
     memory: Memory,
-    version: u64,
     prepare_s: f64,
 }
 
@@ -120,7 +119,7 @@ impl Seed {
         let memory = Memory::new(params.switch("cache").then(|| super::shadow_cache(params, setup, padded)));
         let dome = Arc::clone(dome);
         let prepare_s = start.elapsed().as_secs_f64();
-        Self { dome, preconvolved, slots, memory, version: super::next_version(), prepare_s }
+        Self { dome, preconvolved, slots, memory, prepare_s }
     }
 
     /// A direction for two numbers, given as 32-bit fractions with a word of fresh digits below the first.
@@ -145,7 +144,7 @@ impl DomeSampler for Seed {
     fn draw(&self, point: &Point, n: u32, out: &mut Draws) {
         out.clear();
         let (record, target) = self.memory.consult(point, out);
-        let purpose = (self.version, point.ns, record.map(|record| record.slot));
+        let purpose = (self.memory.version(), point.ns, record.map(|record| record.slot));
         let counts = &mut out.prepared.counts;
         if counts.purpose != purpose {
             let seen = record.map(|Record { visibility, .. }| (visibility, &self.slots[..]));
@@ -182,7 +181,6 @@ impl DomeSampler for Seed {
 
     fn next_stage(&mut self) {
         self.memory.freeze();
-        self.version = super::next_version();
     }
 
     fn save(&self, out: &mut dyn Write) -> io::Result<()> {
@@ -190,7 +188,6 @@ impl DomeSampler for Seed {
     }
 
     fn restore(&mut self, input: &mut dyn Read) -> io::Result<()> {
-        self.version = super::next_version();
         self.memory.restore(input)
     }
 

@@ -84,8 +84,9 @@ impl Tessellated {
     /// All directions asked for, begun before or not.
     pub(super) fn walk(&self, point: &Point, n: u32, out: &mut Draws) {
         let asked = Asked::new(point, n);
-        let of_point =
-            |begun: &Option<Begun>| begun.is_some_and(|b| b.asked == asked && b.purpose.version == self.version);
+        let of_point = |begun: &Option<Begun>| {
+            begun.is_some_and(|b| b.asked == asked && b.purpose.version == self.memory.version())
+        };
         if !out.prepared.walk.begun.iter().any(of_point) {
             self.begin(point, n, out);
         }
