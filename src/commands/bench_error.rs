@@ -110,9 +110,8 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
         for repeat in 0..args.repeat {
             for (s, spec) in samplers.iter().enumerate() {
                 let shot = bench.shoot(spec, budget, repeat + 1)?;
-                let case = runs.entry((b, s)).or_default();
-                case.push(Figures::of(&shot, &reference));
-                report.put(Row::new(spec, budget, case, &reference));
+                runs.entry((b, s)).or_default().push(Figures::of(&shot, &reference));
+                report.put(Row::new(spec, budget, [&runs[&(b, 0)], &runs[&(b, s)]], &reference));
                 if repeat == 0 && budget == args.largest() {
                     report.pictures.push((spec.clone(), shot.pixels));
                 }
@@ -122,6 +121,7 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
         report.print_since(samplers.len());
         report.write_plots()?;
     }
+    report.print_against();
     report.print_reached();
     Ok(0)
 }

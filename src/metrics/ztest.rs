@@ -117,6 +117,16 @@ fn normal(t: f64, freedom: f64) -> f64 {
     ((series + w + 3.0) / b + 1.0) * w.sqrt()
 }
 
+/// Student's `t` that is as rare as a standard normal deviate.
+pub fn students_t(deviate: f64, freedom: f64) -> f64 {
+    let (mut low, mut high) = (0.0, 1e6);
+    for _ in 0..80 {
+        let middle = 0.5 * (low + high);
+        *(if normal(middle, freedom) < deviate { &mut low } else { &mut high }) = middle;
+    }
+    high
+}
+
 /// The chance that a standard normal lies farther out than ±z: erfc(z/√2), to 1.2e-7 relative (Numerical Recipes'
 /// Chebyshev fit).
 fn two_sided(z: f64) -> f64 {

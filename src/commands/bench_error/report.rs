@@ -2,7 +2,7 @@
 
 use super::measure::Bench;
 use super::reference::Reference;
-use super::study::{Reached, Row, front, seconds_to};
+use super::study::{Against, Ratio, Reached, Row, front, seconds_to};
 use super::{Args, Pictures, page};
 use crate::plot::{COLORS, Chart, Line, Mark};
 use anyhow::Result;
@@ -98,6 +98,22 @@ impl<'a> Report<'a> {
                 r.ratio_error,
                 if r.drowned { "  below the reference's noise: more --reference-rays" } else { "" }
             );
+        }
+    }
+
+    /// All others against the first, run by run.
+    pub(super) fn print_against(&self) {
+        let others = || self.rows.iter().filter(|r| r.sampler != self.samplers[0]);
+        if others().all(|r| r.against_first.is_none()) {
+            return;
+        }
+        let title = format!("against {}, 95 %", self.samplers[0]);
+        out!("\n{title:<36} {:>22} {:>24}", "relMSE ×", "relMSE·s ×");
+        for r in others() {
+            let Some(Against { relmse, relmse_s }) = &r.against_first else { continue };
+            let ratio = |Ratio { mean, interval: [low, high] }: &Ratio| format!("{mean:.3} [{low:.3}, {high:.3}]");
+            let budget = format!("{}x{}", r.spp, r.rays);
+            out!("{:<26} {budget:>9} {:>22} {:>24}", r.sampler, ratio(relmse), ratio(relmse_s));
         }
     }
 

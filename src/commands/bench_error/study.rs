@@ -3,6 +3,7 @@
 use super::measure::Shot;
 use super::reference::Reference;
 use domelight::metrics::differences;
+use domelight::metrics::ztest::students_t;
 use serde::Serialize;
 
 /// One render's figures.
@@ -62,12 +63,20 @@ pub(super) struct Row {
     /// Sum over sum, image to reference, and its standard error: bias would show here.
     pub(super) ratio: f64,
     pub(super) ratio_error: f64,
+    /// Held against the study's first sampler.
+    pub(super) against_first: Option<Against>,
     /// Whether the reference's noise is more than half of what was measured: the figure is a guess.
     pub(super) drowned: bool,
 }
 
 impl Row {
-    pub(super) fn new(sampler: &str, [spp, rays]: [u32; 2], runs: &[Figures], reference: &Reference) -> Self {
+    /// Of these runs, beside those that the study's first sampler did in turn with them.
+    pub(super) fn new(
+        sampler: &str,
+        [spp, rays]: [u32; 2],
+        [first, runs]: [&[Figures]; 2],
+        reference: &Reference,
+    ) -> Self {
         let median = |pick: fn(&Figures) -> f64| median(runs.iter().map(pick).collect());
         let range = |pick: fn(&Figures) -> f64| {
             runs.iter().map(pick).fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| [a.min(v), b.max(v)])
@@ -92,8 +101,47 @@ impl Row {
             ns_a_ray: (cpu_s - prepare_s) * 1e9 / shadow_rays.max(1.0),
             ratio: median(|r| r.ratio),
             ratio_error: median(|r| r.ratio_error),
+            against_first: Against::new(first, runs),
             drowned: relmse < reference.noise.relmse,
         }
+    }
+}
+
+/// A sampler against another with the same seeds, run by run: geometric means of ratios, each with its 95 % interval.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub(super) struct Against {
+    pub(super) relmse: Ratio,
+    /// Of relMSE × CPU seconds.
+    pub(super) relmse_s: Ratio,
+}
+
+/// A geometric mean and its 95 % interval.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub(super) struct Ratio {
+    pub(super) mean: f64,
+    pub(super) interval: [f64; 2],
+}
+
+impl Against {
+    /// Needs three runs.
+    fn new(first: &[Figures], runs: &[Figures]) -> Option<Self> {
+        let ratio = |of: fn(&Figures) -> f64| Ratio::of(first.iter().zip(runs).map(|(a, b)| of(b) / of(a)));
+        Some(Self { relmse: ratio(|r| r.relmse)?, relmse_s: ratio(|r| r.relmse * r.cpu_s)? })
+    }
+}
+
+impl Ratio {
+    /// None below three, or where an error is lost in the reference's noise.
+    fn of(ratios: impl Iterator<Item = f64>) -> Option<Self> {
+        let logs: Vec<f64> = ratios.map(f64::ln).collect();
+        let n = logs.len() as f64;
+        if n < 3.0 || !logs.iter().all(|log| log.is_finite()) {
+            return None;
+        }
+        let mean = logs.iter().sum::<f64>() / n;
+        let variance = logs.iter().map(|log| (log - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        let reach = students_t(1.96, n - 1.0) * (variance / n).sqrt();
+        Some(Self { mean: mean.exp(), interval: [(mean - reach).exp(), (mean + reach).exp()] })
     }
 }
 
@@ -156,6 +204,17 @@ fn crossing(points: &[[f64; 2]], level: f64) -> (Option<f64>, bool) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Logarithms −1, 0, 1 and 0: a mean of 0, a standard error of √(2/3/4), Student's t for three degrees of freedom.
+    #[test]
+    fn a_ratio_has_the_interval_of_its_logarithms() {
+        let e = 1f64.exp();
+        let Ratio { mean, interval: [low, high] } = Ratio::of([1.0 / e, 1.0, e, 1.0].into_iter()).unwrap();
+        let reach = 3.182 * (2.0f64 / 3.0 / 4.0).sqrt();
+        assert!((mean - 1.0).abs() < 1e-9 && (high.ln() / reach - 1.0).abs() < 1e-2, "{mean}, {high}");
+        assert!((low * high - 1.0).abs() < 1e-9, "{low} to {high}");
+        assert!(Ratio::of([1.0, 1.0].into_iter()).is_none() && Ratio::of([1.0, -1.0, 1.0].into_iter()).is_none());
+    }
 
     #[test]
     fn errors_are_reached_between_points_and_beyond_them() {

@@ -87,6 +87,7 @@ impl Report<'_> {
             "interrupted": self.picture.stopped,
             "camera_rays": counts.camera_rays,
             "shadow_rays": counts.shadow_rays,
+            "rays_saved": counts.rays_asked.saturating_sub(counts.shadow_rays) as f64 / counts.rays_asked.max(1) as f64,
             "rays_per_second": rays as f64 / self.times.render_s.max(1e-9),
             "triangles": self.scene.triangle_count(),
             "peak_rss_bytes": peak_rss_bytes,
