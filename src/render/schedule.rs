@@ -4,9 +4,9 @@
 //! the first camera samples come in four *stages*, each a lattice of pixels: every 64th pixel, every 16th, every 4th, the
 //! rest; after each stage the sampler goes by what was seen so far. A pixel's own samples therefore never depend on
 //! what they saw themselves, all of them form one stratified set, and the image is unbiased in the strict sense. The first
-//! stage knows nothing: it takes a quarter of the samples, with numbers of their own, they weigh little in the image, and
-//! its pixels have all their samples in the last stage. Later samples are one more stage with numbers of their own. Where variances are asked for, every replicate has numbers of
-//! its own ([`crate::film::replicates`]).
+//! stage knows nothing: it has numbers of its own, its samples weigh little in the image, and its pixels have all their
+//! samples in the last stage. Later samples are one more stage with numbers of their own. Where variances are asked for,
+//! every replicate has numbers of its own ([`crate::film::replicates`]).
 
 use super::Settings;
 
