@@ -62,11 +62,14 @@ impl Triangle<'_> {
         (b - a).cross(c - a)
     }
 
-    /// The front's normal by the winding, world space, not of unit length; zero for a triangle without area.
+    /// The front's unit normal by the winding, world space; none for a triangle without area.
     #[inline]
-    fn front(&self) -> Vec3 {
-        let n = self.winding().normalize_or_zero().as_vec3();
-        if self.instance.identity { n } else { Vec3::from(self.instance.normal_matrix * Vec3A::from(n)) }
+    fn front(&self) -> Option<Vec3> {
+        let n = self.winding().try_normalize()?.as_vec3();
+        if self.instance.identity {
+            return Some(n);
+        }
+        Vec3::from(self.instance.normal_matrix * Vec3A::from(n)).try_normalize()
     }
 
     /// A point of the instance's space in the world.
@@ -163,7 +166,7 @@ impl Scene {
         let t = self.hit_triangle(hit);
         let m = t.material;
         let wo = -ray.dir.normalize_or(Vec3::NEG_Z);
-        let front = t.front().try_normalize().unwrap_or(wo);
+        let front = t.front().unwrap_or(wo);
         let ng = if front.dot(wo) < 0.0 { -front } else { front };
         let ns = if m.unlit { ng } else { self.shading_normal(&t, ng, wo) };
 
@@ -234,7 +237,10 @@ impl Scene {
     pub fn is_front(&self, dir: Vec3, hit: &Hit) -> bool {
         let t = self.hit_triangle(hit);
         // A side is a sign: no length is needed where nothing is lost in single precision.
-        if t.instance.identity { t.winding().dot(dir.as_dvec3()) <= 0.0 } else { t.front().dot(dir) <= 0.0 }
+        if t.instance.identity {
+            return t.winding().dot(dir.as_dvec3()) <= 0.0;
+        }
+        t.front().is_none_or(|front| front.dot(dir) <= 0.0)
     }
 
     /// Interpolated and bumped, on the side of `ng`, facing the viewer.
@@ -247,7 +253,7 @@ impl Scene {
             let n = if t.instance.identity { n } else { Vec3::from(t.instance.normal_matrix * Vec3A::from(n)) };
             n.try_normalize()
         };
-        let smooth = if flat { t.front().try_normalize() } else { to_world(t.blend3(&t.mesh.normals)) };
+        let smooth = if flat { t.front() } else { to_world(t.blend3(&t.mesh.normals)) };
         let mut n = smooth.unwrap_or(ng);
         // The side is the interpolated normal's: a bump must not turn the surface over.
         let turned = n.dot(ng) < 0.0;

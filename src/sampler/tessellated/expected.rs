@@ -16,8 +16,8 @@ use std::sync::OnceLock;
 /// Terms of a quadratic form on the sphere: x, y, z, x², y², z², xy, xz, yz.
 const TERMS: usize = 9;
 
-/// A form a channel.
-type Forms = [[f32; TERMS]; 3];
+/// A form for three channels: what each term is multiplied by.
+type Forms = [Vec3; TERMS];
 
 /// The sine of the angle that a record's normals are at most off its axis: it is the dominant one.
 const OFF_AXIS: f32 = 0.8165;
@@ -88,10 +88,15 @@ impl Expected {
             None => &self.unknown[axis],
         };
         let terms = [n.x, n.y, n.z, n.x * n.x, n.y * n.y, n.z * n.z, n.x * n.y, n.x * n.z, n.y * n.z];
-        let channel = |form: &[f32; TERMS]| form.iter().zip(terms).map(|(a, b)| a * b).sum::<f32>().max(0.0);
-        let soft = Vec3::from([0, 1, 2].map(|c| channel(&forms[c])));
-        let hard = self.bright.iter().zip(bright).map(|(of, m)| of.flux * (m * n.dot(of.dir).max(0.0)));
-        soft + hard.sum::<Vec3>()
+        let mut irradiance = Vec3::ZERO;
+        for (form, term) in forms.iter().zip(terms) {
+            irradiance += form * term;
+        }
+        irradiance = irradiance.max(Vec3::ZERO);
+        for (of, m) in of_groups.iter().zip(bright) {
+            irradiance += of.flux * (m * n.dot(of.dir).max(0.0));
+        }
+        irradiance
     }
 }
 
@@ -151,9 +156,9 @@ impl Kernel for Sum<'_> {
     #[inline(always)]
     fn run(self) {
         let Self { groups, visibility, forms } = self;
-        for (form, rows) in forms.iter_mut().zip(groups) {
-            for (term, row) in form.iter_mut().zip(rows) {
-                *term = dot(visibility, row);
+        for (channel, rows) in groups.iter().enumerate() {
+            for (form, row) in forms.iter_mut().zip(rows) {
+                form[channel] = dot(visibility, row);
             }
         }
     }
