@@ -194,10 +194,11 @@ impl Shade<'_> {
         let origin = offset_origin(surface.position, surface.error, ng, ng);
         let lambert = self.is_apart().then(|| k / n);
         let Draws { dir, radiance, pdf, target, .. } = &*draws;
-        let leads_out = |i: usize| dir[i].dot(ns) > 0.0 && dir[i].dot(ng) > 0.0 && radiance[i] != Vec3::ZERO;
+        // What is no number is not hidden: it is traced, found out and counted.
+        let is_hidden = |i: usize| dir[i].dot(ns) <= 0.0 || dir[i].dot(ng) <= 0.0 || radiance[i] == Vec3::ZERO;
         let mut from = 0;
         while from < dir.len() {
-            if !leads_out(from) {
+            if is_hidden(from) {
                 // Hidden by the surface itself: no ray, but the control variate still counts.
                 if radiance[from] != Vec3::ZERO
                     && let Some(&target) = target.get(from)
@@ -207,7 +208,7 @@ impl Shade<'_> {
                 from += 1;
                 continue;
             }
-            let to = (from..dir.len()).find(|&i| !leads_out(i)).unwrap_or(dir.len());
+            let to = (from..dir.len()).find(|&i| is_hidden(i)).unwrap_or(dir.len());
             let run = dir[from..to].iter().zip(&radiance[from..to]).zip(&pdf[from..to]);
             let targets = target.get(from..to).unwrap_or_default();
             match lambert {
