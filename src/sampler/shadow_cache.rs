@@ -9,27 +9,23 @@
 //! Counts are integers and a block is only ever written by the tile that owns it, in the order of its pixels: the cache
 //! is the same for any number of threads.
 
+mod posterior;
+
 use super::preconvolution::GROUP_LANES;
-use crate::simd::{Kernel, dispatch};
 use glam::Vec3;
+use posterior::{Member, Posterior, REGION};
 use rayon::prelude::*;
 use std::io::{self, Read, Write};
 use std::sync::atomic::{AtomicU16, AtomicU32, AtomicU64, Ordering::Relaxed};
 
-/// Records a block may hold: a silhouette or a corner has two or three surfaces in sight.
-const SLOTS: usize = 4;
+/// Records a block may hold: few have more than two surfaces in sight.
+const SLOTS: usize = 2;
+
+/// Blocks each way beyond a point's own in which a record is looked for.
+const FAR: i32 = 2;
 
 /// Counts are halved when they reach this many rays: what was seen long ago fades.
 const MOST: u16 = 128;
-
-/// Blocks each way of a region, whose records of one kind are each other's prior.
-const REGION: usize = 4;
-
-/// The weight of the prior, in rays.
-const PRIOR: f32 = 6.0;
-
-/// Groups next to each other on the curve that share a prior.
-const NEIGHBOURS: usize = 8;
 
 /// Records this many steps of distance apart still speak of the same surface.
 const NEAR: u32 = 2;
@@ -61,106 +57,6 @@ pub struct ShadowCache {
     hits: AtomicU64,
 }
 
-/// What the records of one kind in a region of blocks have seen together: what each of them is taken for before it has seen
-/// much itself.
-struct Region {
-    /// Rays that arrived by group.
-    seen: Vec<f32>,
-    /// Rays by group.
-    rays: Vec<f32>,
-    /// m by group.
-    visibility: Vec<f32>,
-}
-
-/// The mean of a Beta posterior for `seen` of `rays`.
-#[inline(always)]
-fn posterior((seen, rays): (f32, f32), prior: f32) -> f32 {
-    (seen + PRIOR * prior) / (rays + PRIOR)
-}
-
-/// Adds a record's counts to its region's.
-struct Add<'a> {
-    record: &'a mut [AtomicU16],
-    region: &'a mut Region,
-}
-
-impl Kernel for Add<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Region { seen, rays, .. } = self.region;
-        for ((seen, rays), count) in seen.iter_mut().zip(rays).zip(self.record) {
-            let count = *count.get_mut();
-            *seen += f32::from(count & 0xff);
-            *rays += f32::from(count >> 8);
-        }
-    }
-}
-
-/// What a record of a region is taken for that has seen `record`.
-struct Refine<'a> {
-    record: &'a mut [AtomicU16],
-    region: &'a Region,
-    m: &'a mut [u8],
-}
-
-impl Kernel for Refine<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Self { record, region, m } = self;
-        let mut arrived = 0;
-        for ((m, count), &known) in m.iter_mut().zip(record).zip(&region.visibility) {
-            let count = *count.get_mut();
-            arrived |= count & 0xff;
-            let mean = posterior((f32::from(count & 0xff), f32::from(count >> 8)), known);
-            *m = (mean * 255.0 + 0.5) as i32 as u8;
-        }
-        if arrived == 0 {
-            // No light at all: as far as anyone knows it is dark here, and the estimate exactly so.
-            m.fill(0);
-        }
-    }
-}
-
-impl Region {
-    fn new(groups: usize) -> Self {
-        Self { seen: vec![0.0; groups], rays: vec![0.0; groups], visibility: vec![0.0; groups] }
-    }
-
-    fn clear(&mut self) {
-        self.seen.fill(0.0);
-        self.rays.fill(0.0);
-    }
-
-    /// What the counts of all its records say.
-    fn sum_up(&mut self) {
-        let Self { seen, rays, visibility } = self;
-        let counts = |g: usize| (seen[g], rays[g]);
-        let add = |a: (f32, f32), b: (f32, f32)| (a.0 + b.0, a.1 + b.1);
-        // A lane is a piece of the curve: neighbours on the dome share what is known of them.
-        let mut lanes = [(0.0, 0.0); GROUP_LANES];
-        for g in 0..seen.len() {
-            lanes[g % GROUP_LANES] = add(lanes[g % GROUP_LANES], counts(g));
-        }
-        let whole = posterior(lanes.iter().fold((0.0, 0.0), |a, &b| add(a, b)), 0.5);
-        let lanes = lanes.map(|lane| posterior(lane, whole));
-        let rows = seen.len() / GROUP_LANES;
-        for first in (0..rows).step_by(NEIGHBOURS) {
-            let near = first..(first + NEIGHBOURS).min(rows);
-            for (lane, &known) in lanes.iter().enumerate() {
-                let near = near.clone().map(|row| row * GROUP_LANES + lane);
-                let known = posterior(near.clone().map(counts).fold((0.0, 0.0), add), known);
-                for g in near {
-                    visibility[g] = posterior(counts(g), known);
-                }
-            }
-        }
-    }
-}
-
 /// A record that was found.
 #[derive(Debug, Clone, Copy)]
 pub struct Record<'a> {
@@ -179,7 +75,7 @@ impl ShadowCache {
         let mut block = least.max(1);
         let blocks_of = |block: u32| size.map(|side| side.div_ceil(block).max(1));
         while blocks_of(block).map(u64::from).iter().product::<u64>() * bytes_a_block > budget && block < 4096 {
-            block *= 2;
+            block += 1;
         }
         let blocks = blocks_of(block);
         let slots = blocks.map(|b| b as usize).iter().product::<usize>() * SLOTS;
@@ -187,8 +83,8 @@ impl ShadowCache {
             groups,
             block,
             blocks,
-            keys: (0..slots).map(|_| AtomicU32::new(0)).collect(),
-            counts: (0..slots * groups).map(|_| AtomicU16::new(0)).collect(),
+            keys: bytemuck::zeroed_vec(slots),
+            counts: bytemuck::zeroed_vec(slots * groups),
             visibility: vec![0; slots * groups],
             frozen: vec![0; slots],
             lookups: AtomicU64::new(0),
@@ -220,23 +116,40 @@ impl ShadowCache {
         1 + Self::axis(normal) as u32 + (step << 3)
     }
 
-    fn block_of(&self, x: f32, y: f32) -> usize {
+    fn block_of(&self, x: f32, y: f32) -> [i32; 2] {
         let side = self.block as f32;
-        let clamp = |v: f32, n: u32| ((v / side) as u32).min(n - 1) as usize;
-        clamp(y, self.blocks[1]) * self.blocks[0] as usize + clamp(x, self.blocks[0])
+        let clamp = |v: f32, n: u32| ((v / side) as u32).min(n - 1) as i32;
+        [clamp(x, self.blocks[0]), clamp(y, self.blocks[1])]
+    }
+
+    fn index_of(&self, [x, y]: [i32; 2]) -> Option<usize> {
+        let within = (0..self.blocks[0] as i32).contains(&x) && (0..self.blocks[1] as i32).contains(&y);
+        within.then(|| y as usize * self.blocks[0] as usize + x as usize)
     }
 
     /// The slot of the frozen record that a point reads: of its kind of surface, at the distance nearest to its own. `jitter` (two
-    /// numbers in [−½, ½)) moves the look-up by up to half a block, so that the edges of blocks turn into noise.
+    /// numbers in [−½, ½)) moves the look-up by up to half a block, so that the edges of blocks turn into noise. Where
+    /// nobody has been yet, a record near by has to do.
     pub fn find(&self, pixel: [u32; 2], key: u32, jitter: [f32; 2]) -> Option<u32> {
         let side = self.block as f32;
         let [x, y] = [0, 1].map(|i| pixel[i] as f32 + 0.5);
         let moved = self.block_of((x + jitter[0] * side).max(0.0), (y + jitter[1] * side).max(0.0));
-        let slot = self.nearest(moved, key).or_else(|| self.nearest(self.block_of(x, y), key));
-        slot.map(|slot| slot as u32)
+        let own = self.block_of(x, y);
+        let found = self.nearest(moved, key).or_else(|| self.nearest(own, key));
+        found.or_else(|| self.near_by(own, key)).map(|slot| slot as u32)
     }
 
-    fn nearest(&self, block: usize, key: u32) -> Option<usize> {
+    #[cold]
+    fn near_by(&self, [x, y]: [i32; 2], key: u32) -> Option<usize> {
+        let ring = |far: i32| {
+            let along = move |dy: i32| (-far..=far).step_by(if dy.abs() == far { 1 } else { 2 * far as usize });
+            (-far..=far).flat_map(move |dy| along(dy).map(move |dx| [x + dx, y + dy]))
+        };
+        (1..=FAR).flat_map(ring).find_map(|block| self.nearest(block, key))
+    }
+
+    fn nearest(&self, block: [i32; 2], key: u32) -> Option<usize> {
+        let block = self.index_of(block)?;
         let slots = block * SLOTS..(block + 1) * SLOTS;
         let alike = slots.filter(|&slot| self.frozen[slot] & 7 == key & 7 && self.frozen[slot] != 0);
         alike
@@ -246,7 +159,8 @@ impl ShadowCache {
 
     /// Where the rays of a point are counted: the index of its first group, [`NO_TARGET`] when its block is full.
     pub fn admit(&self, pixel: [u32; 2], key: u32) -> u32 {
-        let block = self.block_of(pixel[0] as f32 + 0.5, pixel[1] as f32 + 0.5);
+        let [x, y] = self.block_of(pixel[0] as f32 + 0.5, pixel[1] as f32 + 0.5);
+        let block = y as usize * self.blocks[0] as usize + x as usize;
         for slot in block * SLOTS..(block + 1) * SLOTS {
             let held = self.keys[slot].load(Relaxed);
             if held == 0 {
@@ -300,33 +214,26 @@ impl ShadowCache {
         let row = blocks[0] as usize * SLOTS;
         let rows = row * REGION;
         let pieces = visibility.par_chunks_mut(rows * groups).zip(counts.par_chunks_mut(rows * groups));
-        pieces.enumerate().for_each(|(y, (visibility, counts))| {
-            let first = y * rows;
-            let count = visibility.len() / groups;
-            let mut region = Region::new(groups);
-            for x in (0..row).step_by(REGION * SLOTS) {
-                let columns = x..(x + REGION * SLOTS).min(row);
-                let slots = (0..count).step_by(row).flat_map(|line| columns.clone().map(move |slot| line + slot));
-                let held: Vec<usize> = slots.filter(|slot| frozen[first + slot] != 0).collect();
-                let of = |slot: usize| slot * groups..(slot + 1) * groups;
-                for (i, &slot) in held.iter().enumerate() {
-                    let key = frozen[first + slot];
-                    if held[..i].iter().any(|&before| frozen[first + before] == key) {
-                        continue;
-                    }
-                    let alike = || held[i..].iter().copied().filter(|&other| frozen[first + other] == key);
-                    region.clear();
-                    for slot in alike() {
-                        dispatch(Add { record: &mut counts[of(slot)], region: &mut region });
-                    }
-                    region.sum_up();
-                    for slot in alike() {
-                        let (record, m) = (&mut counts[of(slot)], &mut visibility[of(slot)]);
-                        dispatch(Refine { record, region: &region, m });
+        pieces.enumerate().for_each_init(
+            || Posterior::new(groups),
+            |posterior, (y, (visibility, counts))| {
+                let first = y * rows;
+                let count = visibility.len() / groups;
+                for x in (0..row).step_by(REGION * SLOTS) {
+                    let columns = x..(x + REGION * SLOTS).min(row);
+                    let slots = (0..count).step_by(row).flat_map(|line| columns.clone().map(move |slot| line + slot));
+                    let held = slots.filter(|slot| frozen[first + slot] != 0);
+                    let member =
+                        |slot: usize| (frozen[first + slot], Member::new((slot % row - x) / SLOTS, slot / row, slot));
+                    let mut members: Vec<(u32, Member)> = held.map(member).collect();
+                    members.sort_unstable();
+                    for alike in members.chunk_by(|a, b| a.0 == b.0) {
+                        let alike: Vec<Member> = alike.iter().map(|&(_, member)| member).collect();
+                        posterior.of(&alike, counts, visibility);
                     }
                 }
-            }
-        });
+            },
+        );
     }
 
     /// Writes all that was counted and frozen, for a checkpoint.

@@ -89,7 +89,7 @@ pub const PLUGIN: Plugin<MakeSampler> = Plugin {
         Opt {
             key: "cache-block",
             kind: Kind::Integer(1, 256),
-            default: "8",
+            default: "4",
             about: "least side of a cache block, pixels",
         },
     ],

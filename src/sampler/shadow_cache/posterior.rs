@@ -1,0 +1,238 @@
+//! What records are taken for, from what they and those around them have counted.
+//!
+//! A record alone has seen too little. So the records of one kind in a region of blocks form a pyramid of squares, each
+//! of four smaller ones: the whole region is taken for what its counts say, by neighbourhoods of the dome where a group's own
+//! are few; and every smaller square for the mean of a Beta posterior of its own counts, whose prior is the square around it.
+//! Where a whole neighbourhood of the dome is seen better or worse from the small square than from the large one,
+//! an occluder's edge lies between them: the prior of all its groups moves with it.
+
+use crate::sampler::preconvolution::GROUP_LANES;
+use crate::simd::{Kernel, dispatch};
+use std::sync::atomic::AtomicU16;
+
+/// Blocks each way of a region: a power of two.
+pub(super) const REGION: usize = 16;
+
+/// Steps from a region to a block.
+const DEPTH: u32 = REGION.ilog2();
+
+/// The weight, in rays, of what a region's neighbourhoods on the dome say of a group.
+const NEIGHBOURHOOD: f32 = 6.0;
+
+/// The weight, in rays, of what the square around says of a group.
+const AROUND: f32 = 32.0;
+
+/// The weight of no change at all of a neighbourhood, in the rays' information Σ m (1 − m).
+const STILL: f32 = 4.0;
+
+/// Groups next to each other on the curve that are a neighbourhood.
+const NEIGHBOURS: usize = 8;
+
+/// A record of the kind at hand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Member {
+    /// Its block's place in the region along the Z-curve: squares of the pyramid are pieces of it.
+    place: u32,
+    slot: usize,
+}
+
+impl Member {
+    /// The record in `slot` of a block so many blocks right of and below the region's first.
+    pub(super) fn new(right: usize, below: usize, slot: usize) -> Self {
+        let place = (0..DEPTH)
+            .map(|bit| ((right >> bit & 1) << (2 * bit)) | ((below >> bit & 1) << (2 * bit + 1)))
+            .sum::<usize>();
+        Self { place: place as u32, slot }
+    }
+}
+
+/// A square of the pyramid: what its records have seen together and what they are taken for, by group.
+#[derive(Debug, Default)]
+struct Square {
+    /// Rays that arrived.
+    seen: Vec<f32>,
+    /// Rays.
+    rays: Vec<f32>,
+    /// m.
+    visibility: Vec<f32>,
+}
+
+/// Takes records for something, a region at a time.
+#[derive(Debug)]
+pub(super) struct Posterior {
+    groups: usize,
+    /// From the region down to the block: the square that is being looked at, each inside the one before.
+    squares: Vec<Square>,
+}
+
+impl Posterior {
+    pub(super) fn new(groups: usize) -> Self {
+        let row = || vec![0.0; groups];
+        let square = || Square { seen: row(), rays: row(), visibility: row() };
+        Self { groups, squares: (0..=DEPTH).map(|_| square()).collect() }
+    }
+
+    /// Takes the records of one kind in a region, in the order of their places, for what `counts` say: `visibility`, in 255ths.
+    pub(super) fn of(&mut self, members: &[Member], counts: &mut [AtomicU16], visibility: &mut [u8]) {
+        let Self { groups, squares } = self;
+        squares[0].sum(members, counts, *groups);
+        squares[0].sum_up();
+        descend(squares, members, DEPTH, counts, visibility);
+    }
+}
+
+/// Looks at the smaller squares of the first, whose records are `members`; it has 2^`depth` blocks each way.
+fn descend(squares: &mut [Square], members: &[Member], depth: u32, counts: &mut [AtomicU16], visibility: &mut [u8]) {
+    let [around, inner @ ..] = squares else { return };
+    let groups = around.visibility.len();
+    if around.is_dark() || depth == 0 {
+        // No light at all: as far as anyone knows it is dark here, and the estimate exactly so.
+        for member in members {
+            let m = &mut visibility[member.slot * groups..][..groups];
+            dispatch(Write { visibility: &around.visibility, m, dark: around.is_dark() });
+        }
+        return;
+    }
+    for part in members.chunk_by(|a, b| a.place >> (2 * depth - 2) == b.place >> (2 * depth - 2)) {
+        if part.len() == members.len() {
+            // The same records: they have had their say.
+            inner[0].copy(around);
+        } else {
+            inner[0].sum(part, counts, groups);
+            dispatch(Refine { square: &mut inner[0], prior: &around.visibility });
+        }
+        descend(inner, part, depth - 1, counts, visibility);
+    }
+}
+
+/// The mean of a Beta posterior for `seen` of `rays`.
+#[inline(always)]
+fn posterior((seen, rays): (f32, f32), prior: f32) -> f32 {
+    (seen + NEIGHBOURHOOD * prior) / (rays + NEIGHBOURHOOD)
+}
+
+impl Square {
+    fn sum(&mut self, members: &[Member], counts: &mut [AtomicU16], groups: usize) {
+        self.seen.fill(0.0);
+        self.rays.fill(0.0);
+        for member in members {
+            dispatch(Add { record: &mut counts[member.slot * groups..][..groups], square: self });
+        }
+    }
+
+    fn copy(&mut self, other: &Self) {
+        self.seen.copy_from_slice(&other.seen);
+        self.rays.copy_from_slice(&other.rays);
+        self.visibility.copy_from_slice(&other.visibility);
+    }
+
+    fn is_dark(&self) -> bool {
+        self.seen.iter().all(|&seen| seen == 0.0)
+    }
+
+    /// What the counts say where nothing is around.
+    fn sum_up(&mut self) {
+        let Self { seen, rays, visibility } = self;
+        let counts = |g: usize| (seen[g], rays[g]);
+        let add = |a: (f32, f32), b: (f32, f32)| (a.0 + b.0, a.1 + b.1);
+        // A lane is a piece of the curve: neighbours on the dome share what is known of them.
+        let mut lanes = [(0.0, 0.0); GROUP_LANES];
+        for g in 0..seen.len() {
+            lanes[g % GROUP_LANES] = add(lanes[g % GROUP_LANES], counts(g));
+        }
+        let whole = posterior(lanes.iter().fold((0.0, 0.0), |a, &b| add(a, b)), 0.5);
+        let lanes = lanes.map(|lane| posterior(lane, whole));
+        let rows = seen.len() / GROUP_LANES;
+        for first in (0..rows).step_by(NEIGHBOURS) {
+            let near = first..(first + NEIGHBOURS).min(rows);
+            for (lane, &known) in lanes.iter().enumerate() {
+                let near = near.clone().map(|row| row * GROUP_LANES + lane);
+                let known = posterior(near.clone().map(counts).fold((0.0, 0.0), add), known);
+                for g in near {
+                    visibility[g] = posterior(counts(g), known);
+                }
+            }
+        }
+    }
+}
+
+/// Adds a record's counts to its square's.
+struct Add<'a> {
+    record: &'a mut [AtomicU16],
+    square: &'a mut Square,
+}
+
+impl Kernel for Add<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Square { seen, rays, .. } = self.square;
+        for ((seen, rays), count) in seen.iter_mut().zip(rays).zip(self.record) {
+            let count = *count.get_mut();
+            *seen += f32::from(count & 0xff);
+            *rays += f32::from(count >> 8);
+        }
+    }
+}
+
+/// What a square is taken for whose surroundings are taken for `prior`.
+struct Refine<'a> {
+    square: &'a mut Square,
+    prior: &'a [f32],
+}
+
+impl Kernel for Refine<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        const NEAR: usize = NEIGHBOURS * GROUP_LANES;
+        let Square { seen, rays, visibility } = self.square;
+        let counts = seen.chunks(NEAR).zip(rays.chunks(NEAR));
+        let taken = visibility.chunks_mut(NEAR).zip(self.prior.chunks(NEAR));
+        for ((seen, rays), (m, prior)) in counts.zip(taken) {
+            let (seen, rays) = (seen.as_chunks::<GROUP_LANES>().0, rays.as_chunks::<GROUP_LANES>().0);
+            let (m, prior) = (m.as_chunks_mut::<GROUP_LANES>().0, prior.as_chunks::<GROUP_LANES>().0);
+            // One Newton step of the shift, common to a neighbourhood, of the prior's log-odds.
+            let (mut beyond, mut information) = ([0.0; GROUP_LANES], [STILL; GROUP_LANES]);
+            for ((seen, rays), prior) in seen.iter().zip(rays).zip(prior) {
+                for lane in 0..GROUP_LANES {
+                    beyond[lane] += seen[lane] - rays[lane] * prior[lane];
+                    information[lane] += rays[lane] * (prior[lane] * (1.0 - prior[lane]));
+                }
+            }
+            for lane in 0..GROUP_LANES {
+                beyond[lane] /= information[lane];
+            }
+            for (((seen, rays), prior), m) in seen.iter().zip(rays).zip(prior).zip(m) {
+                for lane in 0..GROUP_LANES {
+                    let known = prior[lane];
+                    let moved = known + beyond[lane] * (known * (1.0 - known));
+                    let moved = if moved > 0.0 { moved } else { 0.0 };
+                    let moved = if moved < 1.0 { moved } else { 1.0 };
+                    m[lane] = (seen[lane] + AROUND * moved) / (rays[lane] + AROUND);
+                }
+            }
+        }
+    }
+}
+
+/// m in 255ths.
+struct Write<'a> {
+    visibility: &'a [f32],
+    m: &'a mut [u8],
+    dark: bool,
+}
+
+impl Kernel for Write<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let most = if self.dark { 0.0 } else { 255.0 };
+        for (m, &mean) in self.m.iter_mut().zip(self.visibility) {
+            *m = (mean * most + 0.5) as i32 as u8;
+        }
+    }
+}
