@@ -165,6 +165,10 @@ impl ShadowCache {
             let held = self.keys[slot].load(Relaxed);
             if held == 0 {
                 self.keys[slot].store(key, Relaxed);
+                // Fresh memory that is read before it is written costs two page faults and all threads a pause.
+                for counter in [slot * self.groups, (slot + 1) * self.groups - 1] {
+                    self.counts[counter].store(0, Relaxed);
+                }
             }
             if held == 0 || held == key {
                 return (slot * self.groups) as u32;
