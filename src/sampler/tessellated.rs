@@ -221,7 +221,7 @@ impl Tessellated {
         memo.get(&Purpose { version: memory.version(), rays: n, subject }, |weights| match subject {
             Subject::Learned { cell, record } => {
                 let (irradiance, visibility) = (self.irradiance(cell as usize), memory.visibility(record));
-                dispatch(WeighLearned { triangles, irradiance, visibility, weights });
+                dispatch(WeighLearned { triangles, irradiance, rays: n, visibility, weights });
             }
             Subject::Normal(normal) => dispatch(Weigh { triangles, normal, rays: n, weights }),
         })

@@ -225,6 +225,7 @@ impl Block {
     #[inline(always)]
     fn groups(&mut self, weights: &Weights, count: usize) {
         let Self { at, low: lane, group: row, offset, width, .. } = self;
+        let all = *at;
         // Empty lanes begin where their successor does: the last that has begun holds the count.
         let (mut begun, mut before) = ([0; BLOCK], [0; BLOCK]);
         for begin in weights.lanes {
@@ -249,6 +250,13 @@ impl Block {
         for i in 0..count {
             let group = row[i] as usize * GROUP_LANES + lane[i] as usize;
             (row[i], offset[i], width[i]) = (group as u32, at[i] - weights.begins[group], weights.widths[group]);
+        }
+        if let Some(first) = weights.heavy.first() {
+            for i in (0..count).filter(|&i| all[i] >= first.begin) {
+                let begun = weights.heavy.iter().rfind(|heavy| heavy.begin <= all[i]).unwrap_or(first);
+                (row[i], offset[i]) = (begun.group, all[i] - begun.begin);
+                width[i] = weights.widths[begun.group as usize];
+            }
         }
     }
 

@@ -67,6 +67,6 @@ impl Kernel for WeighLobe<'_> {
                 *weighted *= if m > FLOOR { m } else { FLOOR };
             }
         }
-        weights.count();
+        weights.count(1);
     }
 }

@@ -21,6 +21,8 @@ pub(super) struct Part {
     pub(super) group: u32,
     /// Σ F of its leaves above.
     pub(super) flux: Flux,
+    /// Their share of its irradiance.
+    pub(super) covered: f32,
 }
 
 /// The groups as surfaces with normals about one axis see them.
@@ -84,10 +86,12 @@ impl Kernel for Sweep<'_> {
             if status[g] == BELOW && importance[g] > notable {
                 let leaves = Leaves::new(&triangles.leaves[g], Aim { axis: n, radius });
                 importance[g] = sum(&leaves.irradiance);
-                certain += leaves.certain();
+                let above = leaves.certain();
+                certain += above;
                 status[g] = CROSSING;
                 if parts {
-                    irradiance.parts.push(Part { group: g as u32, flux: leaves.flux(&triangles.leaves[g]) });
+                    let covered = if importance[g] > 0.0 { above / importance[g] } else { 0.0 };
+                    irradiance.parts.push(Part { group: g as u32, flux: leaves.flux(&triangles.leaves[g]), covered });
                 }
             }
         }

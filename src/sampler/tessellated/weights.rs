@@ -19,6 +19,13 @@ const FLOOR: f32 = 0.05;
 /// rays, the more it pays to know. (The share is this over the square of the rays.)
 const NOTABLE: f32 = 4e-2;
 
+/// Groups with the importance of so many strata have some to themselves.
+const HEAVY: f32 = 1.0;
+
+/// The part of their importance that these groups get of the strata, one at least: that it differs from point to point
+/// whether they are seen costs them nothing.
+const THEIRS: f32 = 0.75;
+
 /// What weights are made for.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Purpose {
@@ -71,14 +78,28 @@ pub struct Weights {
     pub(super) control: Vec<f32>,
     /// Its integral over the sphere: Σ b F, a vector a channel.
     flux: [Vec3; 3],
-    /// Counts before a group in its own lane.
+    /// Groups that have whole strata to themselves, after all others: a sun half in the shade is drawn as often at every
+    /// point, so that the control variate misses nothing of it where it is hidden.
+    pub(super) heavy: Vec<Heavy>,
+    /// Counts before a group in its own lane, heavy ones left out.
     pub(super) begins: Vec<u32>,
     /// Counts of a group.
     pub(super) widths: Vec<u32>,
     /// Counts before each lane.
     pub(super) lanes: [u32; GROUP_LANES],
+    /// Counts of a stratum, where there are heavy groups.
+    each: u32,
     /// All counts.
     pub(super) total: u32,
+}
+
+/// A group that has strata to itself.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Heavy {
+    pub(super) group: u32,
+    /// Strata, and the counts before it.
+    strata: u32,
+    pub(super) begin: u32,
 }
 
 /// Makes the weights of one normal, of which the cache knows nothing.
@@ -103,7 +124,7 @@ impl Kernel for Weigh<'_> {
         weights.weighted.copy_from_slice(&weights.own.importance);
         weights.control.fill(0.0);
         weights.flux = [Vec3::ZERO; 3];
-        weights.count();
+        weights.count(rays);
         weights.aim = Aim::exact(normal);
     }
 }
@@ -112,6 +133,7 @@ impl Kernel for Weigh<'_> {
 pub(super) struct WeighLearned<'a> {
     pub(super) triangles: &'a Preconvolution,
     pub(super) irradiance: &'a Irradiance,
+    pub(super) rays: u32,
     /// The record's visibilities in 255ths.
     pub(super) visibility: &'a [u8],
     pub(super) weights: &'a mut Weights,
@@ -122,7 +144,7 @@ impl Kernel for WeighLearned<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { triangles, irradiance, visibility, weights } = self;
+        let Self { triangles, irradiance, rays, visibility, weights } = self;
         let count = irradiance_len(triangles);
         weights.resize(count);
         let (status, importance) = (&irradiance.status[..count], &irradiance.importance[..count]);
@@ -130,9 +152,8 @@ impl Kernel for WeighLearned<'_> {
         let (control, by_energy) = (&mut weights.control[..count], &mut weights.by_energy[..count]);
         for g in 0..count {
             let m = f32::from(visibility[g]) * (1.0 / 255.0);
-            let s = about_sqrt(m * (1.0 - m));
-            weighted[g] = importance[g] * if s > FLOOR { s } else { FLOOR };
             control[g] = if status[g] == ABOVE { m } else { 0.0 };
+            weighted[g] = importance[g] * spread(m, control[g]);
             // The control variate takes out how the cosine changes inside.
             by_energy[g] = status[g] == ABOVE;
         }
@@ -142,14 +163,16 @@ impl Kernel for WeighLearned<'_> {
         }
         for part in &irradiance.parts {
             let m = f32::from(visibility[part.group as usize]) * (1.0 / 255.0);
-            control[part.group as usize] = m;
+            let g = part.group as usize;
+            control[g] = m;
+            weighted[g] = importance[g] * spread(m, m * part.covered);
             for (flux, part) in flux.iter_mut().zip(part.flux) {
                 *flux += m * part;
             }
         }
         let channel = |c: usize| Vec3::new(flux[3 * c], flux[3 * c + 1], flux[3 * c + 2]);
         weights.flux = [channel(0), channel(1), channel(2)];
-        weights.count();
+        weights.count(rays);
         weights.aim = irradiance.aim;
     }
 }
@@ -188,17 +211,60 @@ impl Weights {
         self.widths.resize(count, 0);
     }
 
-    /// The integer CDF.
+    /// Gives groups whole strata of so many; returns how many strata are left.
     #[inline(always)]
-    pub(super) fn count(&mut self) {
+    fn allot(&mut self, strata: u32, total: f32) -> u32 {
+        let mut left = strata;
+        self.heavy.clear();
+        let least = HEAVY * total / strata as f32;
+        let mut most = [0.0f32; LANES];
+        for weights in self.weighted.as_chunks::<LANES>().0 {
+            for (most, &weight) in most.iter_mut().zip(weights) {
+                *most = if weight > *most { weight } else { *most };
+            }
+        }
+        if strata < 2 || least <= 0.0 || !most.iter().any(|most| *most >= least) {
+            return left;
+        }
+        for (group, weight) in self.weighted.iter_mut().enumerate().filter(|(_, weight)| **weight >= least) {
+            // At least one is left for all others.
+            let strata = ((*weight * (THEIRS * strata as f32 / total)) as u32).max(1).min(left - 1);
+            if strata > 0 {
+                self.heavy.push(Heavy { group: group as u32, strata, begin: 0 });
+                left -= strata;
+                *weight = 0.0;
+            }
+        }
+        left
+    }
+
+    /// The integer CDF, for so many stratified numbers.
+    #[inline(always)]
+    pub(super) fn count(&mut self, strata: u32) {
         let count = self.weighted.len();
+        let total = sum(&self.weighted[..count]);
+        let mut left = self.allot(strata, total);
         let weighted = &self.weighted[..count];
-        let total = sum(weighted);
-        let scale = if total > 0.0 { (GROUP_COUNTS / total).min(f32::MAX) } else { 0.0 };
+        let light = sum(weighted);
+        if light == 0.0
+            && let Some(heavy) = self.heavy.first_mut()
+        {
+            heavy.strata += left;
+            left = 0;
+        }
+        let share = if self.heavy.is_empty() { 1.0 } else { left as f32 / strata as f32 };
+        let scale = if light > 0.0 { (share * GROUP_COUNTS / light).min(f32::MAX) } else { 0.0 };
         let widths = &mut self.widths[..count];
         for g in 0..count {
             // Never nothing where there is importance.
             widths[g] = whole(f64::from(weighted[g] * scale)) + if weighted[g] > 0.0 { 1 } else { 0 };
+        }
+        if !self.heavy.is_empty() {
+            // Strata are of equal counts; the few that rounding leaves of the last are anyone's.
+            let sum: u32 = widths.iter().sum();
+            self.each = if left == 0 { GROUP_COUNTS as u32 / strata } else { sum.div_ceil(left) };
+            let any = widths.iter().position(|width| *width > 0).unwrap_or(0);
+            widths[any] += self.each * left - sum;
         }
         let mut lanes = [0u32; GROUP_LANES];
         let (begins, _) = self.begins[..count].as_chunks_mut::<GROUP_LANES>();
@@ -214,8 +280,21 @@ impl Weights {
             *begin = at;
             at += lane;
         }
+        for heavy in &mut self.heavy {
+            heavy.begin = at;
+            at += heavy.strata * self.each;
+            self.widths[heavy.group as usize] = at - heavy.begin;
+        }
         self.total = at;
     }
+}
+
+/// How far what arrives spreads about what the control variate takes off, where a share m arrives: √(m (1 − b)) for one that
+/// takes m off the share b/m of the light and nothing off the rest.
+#[inline(always)]
+fn spread(m: f32, b: f32) -> f32 {
+    let spread = about_sqrt(m * (1.0 - b));
+    if spread > FLOOR { spread } else { FLOOR }
 }
 
 /// A square root to 4 %, by halving the exponent: it only shapes a density, and the real one costs ten times as much.
