@@ -2,9 +2,8 @@
 //!
 //! A record belongs to a block of pixels, a dominant axis of the surface normal and a range of distances: keyed relative
 //! to the pixel's footprint by construction, never to metres, and bounded by the image's size. It counts, for each
-//! group of the tessellation, rays and rays that arrived. Between stages the counts become visibilities m: the mean of a
-//! Beta posterior whose prior is what records of the same kind saw in a region of blocks, and theirs the neighbourhood on the
-//! dome: the whole dome, a lane (a sixteenth of the curve), a few neighbours on the curve, the group itself.
+//! group of the tessellation, rays and rays that arrived. Between stages the counts of a record and of those around it
+//! become visibilities m ([`posterior`]).
 //!
 //! Counts are integers and a block is only ever written by the tile that owns it, in the order of its pixels: the cache
 //! is the same for any number of threads.

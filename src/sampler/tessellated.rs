@@ -130,7 +130,7 @@ pub struct Tessellated {
     prepare_s: f64,
 }
 
-/// Groups with a cache where nothing is said: with fewer, faces of a convex body are noisier than half a per cent.
+/// Groups with a cache where nothing is said: half as many take the same time for up to a tenth more error.
 const GROUPS: u64 = 512;
 
 /// Cells of normals where nothing is said.

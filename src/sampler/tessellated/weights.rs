@@ -12,7 +12,7 @@ use glam::Vec3;
 /// Total of the group counts, about.
 const GROUP_COUNTS: f32 = 1_073_741_824.0;
 
-/// The least a group's importance is scaled down to, where the cache is sure of its visibility.
+/// The least a group's importance is scaled down to, where nothing is in doubt.
 const FLOOR: f32 = 0.05;
 
 /// Groups of the horizon are summed up leaf by leaf where they hold more than a share that falls with the rays: the more
@@ -87,8 +87,6 @@ pub struct Weights {
     pub(super) widths: Vec<u32>,
     /// Counts before each lane.
     pub(super) lanes: [u32; GROUP_LANES],
-    /// Counts of a stratum, where there are heavy groups.
-    each: u32,
     /// All counts.
     pub(super) total: u32,
 }
@@ -259,12 +257,13 @@ impl Weights {
             // Never nothing where there is importance.
             widths[g] = whole(f64::from(weighted[g] * scale)) + if weighted[g] > 0.0 { 1 } else { 0 };
         }
+        let mut of_stratum = 0;
         if !self.heavy.is_empty() {
             // Strata are of equal counts; the few that rounding leaves of the last are anyone's.
             let sum: u32 = widths.iter().sum();
-            self.each = if left == 0 { GROUP_COUNTS as u32 / strata } else { sum.div_ceil(left) };
+            of_stratum = if left == 0 { GROUP_COUNTS as u32 / strata } else { sum.div_ceil(left) };
             let any = widths.iter().position(|width| *width > 0).unwrap_or(0);
-            widths[any] += self.each * left - sum;
+            widths[any] += of_stratum * left - sum;
         }
         let mut lanes = [0u32; GROUP_LANES];
         let (begins, _) = self.begins[..count].as_chunks_mut::<GROUP_LANES>();
@@ -282,7 +281,7 @@ impl Weights {
         }
         for heavy in &mut self.heavy {
             heavy.begin = at;
-            at += heavy.strata * self.each;
+            at += heavy.strata * of_stratum;
             self.widths[heavy.group as usize] = at - heavy.begin;
         }
         self.total = at;
