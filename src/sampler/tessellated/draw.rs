@@ -469,11 +469,11 @@ impl LeafCounts {
     }
 }
 
-/// Leaf counts made lately: points that share weights share the groups of their horizon.
+/// Leaf counts made lately: points whose normals lie in one cell share the leaves of their horizon.
 #[derive(Debug)]
-pub(super) struct LeafMemo(Box<[LeafEntry; 64]>);
+pub(super) struct LeafMemo(Box<[LeafEntry; 128]>);
 
-/// A group's counts under the weights with a stamp.
+/// A group's counts for weights with a stamp.
 #[derive(Debug, Clone, Copy, Default)]
 struct LeafEntry {
     stamp: u64,
@@ -483,7 +483,7 @@ struct LeafEntry {
 
 impl Default for LeafMemo {
     fn default() -> Self {
-        Self(Box::new([LeafEntry::default(); 64]))
+        Self(Box::new([LeafEntry::default(); 128]))
     }
 }
 
@@ -491,7 +491,7 @@ impl LeafMemo {
     /// Where a group's counts are if they are at hand.
     #[inline(always)]
     fn entry(&mut self, stamp: u64, group: u32) -> &mut LeafEntry {
-        let hash = random::mix(group.wrapping_add((stamp as u32).wrapping_mul(0x9e37_79b9)));
+        let hash = random::mix(group.wrapping_add(((stamp ^ stamp >> 24) as u32).wrapping_mul(0x9e37_79b9)));
         &mut self.0[hash as usize % self.0.len()]
     }
 }

@@ -66,7 +66,7 @@ pub struct Weights {
     pub(super) purpose: Purpose,
     /// Which normals they serve.
     pub(super) aim: Aim,
-    /// Of the memo they are in: never the same for two; 0 for none.
+    /// Whose leaves are the same: of one cell of normals, or of these weights alone; 0 for none.
     pub(super) stamp: u64,
     /// The irradiance for a normal of its own.
     own: Irradiance,
@@ -332,7 +332,11 @@ impl Memo {
         if weights.purpose != *purpose {
             make(weights);
             self.made += 1;
-            (weights.purpose, weights.stamp) = (*purpose, self.made);
+            weights.purpose = *purpose;
+            weights.stamp = match purpose.subject {
+                Subject::Learned { cell, .. } => 1 << 63 | purpose.version << 24 | u64::from(cell),
+                Subject::Normal(_) => self.made,
+            };
         }
         weights
     }
