@@ -85,11 +85,12 @@ impl Posterior {
 fn descend(squares: &mut [Square], members: &[Member], depth: u32, counts: &mut [AtomicU16], visibility: &mut [u8]) {
     let [around, inner @ ..] = squares else { return };
     let groups = around.visibility.len();
-    if around.is_dark() || depth == 0 {
-        // No light at all: as far as anyone knows it is dark here, and the estimate exactly so.
+    // No light at all, and not in one block alone: as far as anyone knows it is dark here, and the estimate exactly so.
+    let dark = depth > 0 && around.is_dark();
+    if dark || depth == 0 {
         for member in members {
             let m = &mut visibility[member.slot * groups..][..groups];
-            dispatch(Write { visibility: &around.visibility, m, dark: around.is_dark() });
+            dispatch(Write { visibility: &around.visibility, m, dark });
         }
         return;
     }
@@ -234,5 +235,62 @@ impl Kernel for Write<'_> {
         for (m, &mean) in self.m.iter_mut().zip(self.visibility) {
             *m = (mean * most + 0.5) as i32 as u8;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GROUPS: usize = 2 * NEIGHBOURS * GROUP_LANES;
+
+    /// m of a region's blocks, row by row, that have counted `seen` of `rays` by column, row and group.
+    fn taken(counted: impl Fn(usize, usize, usize) -> (u16, u16)) -> Vec<[u8; GROUPS]> {
+        let blocks = || (0..REGION * REGION).map(|block| (block % REGION, block / REGION));
+        let mut members: Vec<Member> = blocks().zip(0..).map(|((x, y), slot)| Member::new(x, y, slot)).collect();
+        members.sort_unstable();
+        let of_block = |(x, y)| (0..GROUPS).map(move |g| (x, y, g));
+        let count = |(x, y, g)| {
+            let (seen, rays) = counted(x, y, g);
+            AtomicU16::new(rays << 8 | seen)
+        };
+        let mut counts: Vec<AtomicU16> = blocks().flat_map(of_block).map(count).collect();
+        let mut visibility = vec![0; counts.len()];
+        Posterior::new(GROUPS).of(&members, &mut counts, &mut visibility);
+        visibility.as_chunks().0.to_vec()
+    }
+
+    #[test]
+    fn an_edge_is_seen_where_it_is() {
+        let m = taken(|x, _, _| if x < 5 { (4, 4) } else { (0, 4) });
+        for (i, m) in m.iter().enumerate() {
+            // Three quarters of the way at least, by four rays a block.
+            let near = |&m: &u8| if i % REGION < 5 { m >= 191 } else { m <= 64 };
+            assert!(m.iter().all(near), "block {i}: {}", m[0]);
+        }
+    }
+
+    #[test]
+    fn a_group_that_nobody_has_tried_goes_with_its_neighbourhood() {
+        // The first row of either neighbourhood is never drawn; the others of the first are hidden on the right.
+        let tried = |g: usize| g / GROUP_LANES % NEIGHBOURS > 0;
+        let arrives = |x: usize, g: usize| x < REGION / 2 || g >= NEIGHBOURS * GROUP_LANES;
+        let m = taken(|x, _, g| (if arrives(x, g) && tried(g) { 4 } else { 0 }, if tried(g) { 4 } else { 0 }));
+        let (left, right) = (m[0], m[REGION - 1]);
+        assert!(left[0] >= 191 && right[0] <= 64, "{} and {}", left[0], right[0]);
+        let other = NEIGHBOURS * GROUP_LANES;
+        assert!(left[other] >= 191 && right[other] == left[other], "{} and {}", left[other], right[other]);
+    }
+
+    #[test]
+    fn where_no_light_comes_it_is_dark() {
+        // Two by two blocks, and one alone, whose rays have all been stopped.
+        let m = taken(|x, y, _| (if x / 2 == 1 && y / 2 == 1 || (x, y) == (9, 9) { 0 } else { 4 }, 4));
+        let at = |x: usize, y: usize| m[y * REGION + x];
+        for (x, y) in [(2, 2), (3, 2), (2, 3), (3, 3)] {
+            assert_eq!(at(x, y), [0; GROUPS], "{x}, {y}");
+        }
+        let (alone, beside) = (at(9, 9)[0], at(8, 8)[0]);
+        assert!(0 < alone && alone < beside, "one block has too little to go by: {alone} beside {beside}");
     }
 }

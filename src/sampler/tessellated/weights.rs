@@ -358,3 +358,53 @@ impl Memo {
         &self.entries[self.current]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Weights of 64 groups with these importances, the rest 0.01, counted for so many strata.
+    fn counted(importance: &[(usize, f32)], rest: f32, strata: u32) -> Weights {
+        let mut weights = Weights::default();
+        weights.clear(64).fill(rest);
+        for &(group, importance) in importance {
+            weights.weighted[group] = importance;
+        }
+        weights.count(strata);
+        let sum: u64 = weights.widths.iter().map(|&width| u64::from(width)).sum();
+        assert_eq!(sum, u64::from(weights.total));
+        weights
+    }
+
+    #[test]
+    fn a_heavy_group_has_whole_strata_to_itself() {
+        // 5.4 and 2.7 of the 16 strata by importance: three quarters of them, whole ones.
+        let weights = counted(&[(3, 0.6), (40, 0.3)], 0.014, 16);
+        assert_eq!(weights.total % 16, 0);
+        let of_stratum = weights.total / 16;
+        assert_eq!((weights.widths[3], weights.widths[40]), (4 * of_stratum, 2 * of_stratum));
+        for heavy in &weights.heavy {
+            assert_eq!(heavy.begin % of_stratum, 0, "it begins where a stratum does");
+        }
+        // All others keep their shares of what is left, to a count and what rounding adds.
+        let even = f64::from(10 * of_stratum) / 62.0;
+        let light = |g: &usize| *g != 3 && *g != 40;
+        for g in (0..64).filter(light) {
+            assert!((f64::from(weights.widths[g]) - even).abs() <= 64.0, "group {g}: {}", weights.widths[g]);
+        }
+    }
+
+    #[test]
+    fn whatever_the_weights_are_all_strata_are_given_away() {
+        assert!(counted(&[], 0.0, 16).heavy.is_empty());
+        assert!(counted(&[(3, 0.6)], 0.01, 1).heavy.is_empty(), "one stratum is everyone's");
+        let alone = counted(&[(3, 0.6)], 0.0, 16);
+        assert_eq!(alone.widths[3], alone.total);
+        for strata in 2..40 {
+            // As many heavy ones as there are strata, and dim ones beside them.
+            let heavy: Vec<_> = (0..strata as usize).map(|g| (g, 1.0)).collect();
+            let weights = counted(&heavy, 1e-9, strata);
+            assert!(weights.widths.iter().all(|&width| width > 0), "{strata} strata: every group can be drawn");
+        }
+    }
+}
