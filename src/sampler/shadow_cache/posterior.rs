@@ -273,7 +273,7 @@ mod tests {
     #[test]
     fn a_group_that_nobody_has_tried_goes_with_its_neighbourhood() {
         // The first row of either neighbourhood is never drawn; the others of the first are hidden on the right.
-        let tried = |g: usize| g / GROUP_LANES % NEIGHBOURS > 0;
+        let tried = |g: usize| !(g / GROUP_LANES).is_multiple_of(NEIGHBOURS);
         let arrives = |x: usize, g: usize| x < REGION / 2 || g >= NEIGHBOURS * GROUP_LANES;
         let m = taken(|x, _, g| (if arrives(x, g) && tried(g) { 4 } else { 0 }, if tried(g) { 4 } else { 0 }));
         let (left, right) = (m[0], m[REGION - 1]);
