@@ -4,21 +4,18 @@
 //! (the search in a leaf's cells) has a block of independent searches in flight.
 
 use super::Tessellated;
-use super::irradiance::{Leaves, sum};
+use super::leaves::{LeafCounts, LeafMemo};
 use super::normals::Aim;
 use super::texels::{Lit, Span};
 use super::weights::Weights;
 use crate::random;
 use crate::sampler::Numbers;
 use crate::sampler::cells::{DrawRow, Place, Sides};
-use crate::sampler::preconvolution::{GROUP_LANES, LEAF_LANES, LeafMoments};
+use crate::sampler::preconvolution::GROUP_LANES;
 use crate::sampler::tessellation::LEAVES_A_GROUP;
 use crate::simd::{Kernel, prefetch};
 use glam::Vec3;
 use std::hint::select_unpredictable;
-
-/// Total of a group's leaf counts, about.
-const LEAF_COUNTS: f32 = 1_048_576.0;
 
 /// Numbers treated together: a vector register of them.
 pub(super) const BLOCK: usize = 16;
@@ -217,7 +214,7 @@ pub(super) fn whole(x: f64) -> u32 {
 
 /// The same of a number in [0, 2²²), in single precision.
 #[inline(always)]
-fn small_whole(x: f32) -> u32 {
+pub(super) fn small_whole(x: f32) -> u32 {
     (x - 0.5 + 12_582_912.0).to_bits() & 0x3f_ffff
 }
 
@@ -270,12 +267,8 @@ impl Block {
                 (self.leaf[i], self.total[i]) = (WHOLE_GROUP, sampler.texels.groups[group as usize].counts);
                 continue;
             }
-            let entry = memo.entry(weights.stamp, group);
-            if (entry.stamp, entry.group) != (weights.stamp, group) {
-                let counts = LeafCounts::new(&sampler.triangles.leaves[group as usize], weights.aim);
-                *entry = LeafEntry { stamp: weights.stamp, group, counts };
-            }
-            self.leaf(sampler, &entry.counts, i);
+            let leaves = || LeafCounts::new(&sampler.triangles.leaves[group as usize], weights.aim);
+            self.leaf(sampler, memo.get(weights.stamp, group, leaves), i);
         }
     }
 
@@ -287,9 +280,9 @@ impl Block {
             return;
         }
         let at = ((remainder(self, i) * f64::from(counts.total)) as u32).min(counts.total - 1);
-        let slot = counts.find(at);
+        let (slot, offset) = counts.find(at);
         let leaf = self.group[i] * LEAVES_A_GROUP as u32 + slot as u32;
-        self.offset[i] = at - counts.lanes[slot % LEAF_LANES] - counts.begins[slot];
+        self.offset[i] = offset;
         self.width[i] = counts.widths[slot];
         self.probability[i] *= f64::from(self.width[i]) / f64::from(counts.total);
         (self.leaf[i], self.total[i]) = (leaf, sampler.texels.leaves[leaf as usize].counts);
@@ -394,117 +387,6 @@ impl Block {
 
 /// Leaves with more cells than this are not summed up cell by cell.
 pub(super) const MOST_AT_HORIZON: u32 = 4096;
-
-/// The integer CDF of a group's leaves.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct LeafCounts {
-    begins: [u32; LEAVES_A_GROUP],
-    pub(super) widths: [u32; LEAVES_A_GROUP],
-    /// A bit a leaf: wholly above the horizon.
-    above: u64,
-    lanes: [u32; LEAF_LANES],
-    pub(super) total: u32,
-}
-
-impl Default for LeafCounts {
-    fn default() -> Self {
-        Self { begins: [0; LEAVES_A_GROUP], widths: [0; LEAVES_A_GROUP], above: 0, lanes: [0; LEAF_LANES], total: 0 }
-    }
-}
-
-impl LeafCounts {
-    /// By irradiance on surfaces with normals about `axis`.
-    #[inline(always)]
-    pub(super) fn new(leaves: &LeafMoments, aim: Aim) -> Self {
-        let of_group = Leaves::new(leaves, aim);
-        let mut above = 0;
-        for (i, &high) in of_group.above.iter().enumerate() {
-            above |= u64::from(high > 0.0) << i;
-        }
-        Self { above, ..Self::from_weights(&of_group.drawn()) }
-    }
-
-    #[inline(always)]
-    fn from_weights(e: &[f32; LEAVES_A_GROUP]) -> Self {
-        let total = sum(e);
-        let scale = if total > 0.0 { (LEAF_COUNTS / total).min(f32::MAX) } else { 0.0 };
-        let mut result = Self::default();
-        for (width, &e) in result.widths.iter_mut().zip(e) {
-            *width = small_whole(e * scale) + if e > 0.0 { 1 } else { 0 };
-        }
-        let mut lanes = [0u32; LEAF_LANES];
-        let (begins, _) = result.begins.as_chunks_mut::<LEAF_LANES>();
-        let (widths, _) = result.widths.as_chunks::<LEAF_LANES>();
-        for (begins, widths) in begins.iter_mut().zip(widths) {
-            *begins = lanes;
-            for (lane, width) in lanes.iter_mut().zip(widths) {
-                *lane += width;
-            }
-        }
-        for (begin, lane) in result.lanes.iter_mut().zip(lanes) {
-            *begin = result.total;
-            result.total += lane;
-        }
-        result
-    }
-
-    /// Whether a leaf lies wholly above the horizon.
-    #[inline(always)]
-    pub(super) fn above(&self, slot: usize) -> bool {
-        (self.above >> slot) & 1 == 1
-    }
-
-    /// The slot that count `at` falls to.
-    #[inline(always)]
-    fn find(&self, at: u32) -> usize {
-        let lane = last_begun(&self.lanes, at) as usize;
-        let at = at - self.lanes[lane];
-        let mut row = 0;
-        for next in 1..LEAVES_A_GROUP / LEAF_LANES {
-            // Empty ones share their successor's beginning: the last that has begun holds the count.
-            let slot = next * LEAF_LANES + lane;
-            row += usize::from(self.begins[slot] <= at);
-        }
-        row * LEAF_LANES + lane
-    }
-}
-
-/// Leaf counts made lately: points whose normals lie in one cell share the leaves of their horizon.
-#[derive(Debug)]
-pub(super) struct LeafMemo(Box<[LeafEntry; 128]>);
-
-/// A group's counts for weights with a stamp.
-#[derive(Debug, Clone, Copy, Default)]
-struct LeafEntry {
-    stamp: u64,
-    group: u32,
-    counts: LeafCounts,
-}
-
-impl Default for LeafMemo {
-    fn default() -> Self {
-        Self(Box::new([LeafEntry::default(); 128]))
-    }
-}
-
-impl LeafMemo {
-    /// Where a group's counts are if they are at hand.
-    #[inline(always)]
-    fn entry(&mut self, stamp: u64, group: u32) -> &mut LeafEntry {
-        let hash = random::mix(group.wrapping_add(((stamp ^ stamp >> 24) as u32).wrapping_mul(0x9e37_79b9)));
-        &mut self.0[hash as usize % self.0.len()]
-    }
-}
-
-/// The last lane that begins at or before `at`; empty lanes begin where their successor does.
-#[inline(always)]
-fn last_begun<const N: usize>(lanes: &[u32; N], at: u32) -> u32 {
-    let mut begun = 0;
-    for &begin in lanes {
-        begun += u32::from(begin <= at);
-    }
-    begun - 1
-}
 
 impl Tessellated {
     /// The counts of a cell in a leaf that crosses the horizon: positive wherever a part of it is above.

@@ -5,7 +5,8 @@
 //! waits for its predecessor: [`Tessellated::begin`] for point i + 1 comes before [`Tessellated::walk`] for point i.
 
 use super::Tessellated;
-use super::draw::{Aimed, BLOCK, Block, Choose, Find, LeafMemo};
+use super::draw::{Aimed, BLOCK, Block, Choose, Find};
+use super::leaves::LeafMemo;
 use super::normals::Aim;
 use super::weights::{Purpose, Weights};
 use crate::sampler::shadow_cache::NO_TARGET;
