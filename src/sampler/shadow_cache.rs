@@ -3,7 +3,7 @@
 //! A record belongs to a block of pixels, a dominant axis of the surface normal and a range of distances: keyed relative
 //! to the pixel's footprint by construction, never to metres, and bounded by the image's size. It counts, for each
 //! group of the tessellation, rays and rays that arrived. Between stages the counts of a record and of those around it
-//! become visibilities m ([`posterior`]).
+//! become visibilities m (`posterior`).
 //!
 //! Counts are integers and a block is only ever written by the tile that owns it, in the order of its pixels: the cache
 //! is the same for any number of threads.
