@@ -138,6 +138,7 @@ impl ShadowCache {
         found.or_else(|| self.near_by(own, key)).map(|slot| slot as u32)
     }
 
+    /// A record of the kind in the rings of blocks around one, the nearest first.
     #[cold]
     fn near_by(&self, [x, y]: [i32; 2], key: u32) -> Option<usize> {
         let ring = |far: i32| {
