@@ -67,6 +67,7 @@ impl Kernel for WeighLobe<'_> {
                 *weighted *= if m > FLOOR { m } else { FLOOR };
             }
         }
+        // As for one stratum: no group has its own.
         weights.count(1);
     }
 }

@@ -214,6 +214,9 @@ impl Weights {
     fn allot(&mut self, strata: u32, total: f32) -> u32 {
         let mut left = strata;
         self.heavy.clear();
+        if strata < 2 {
+            return left;
+        }
         let least = HEAVY * total / strata as f32;
         let mut most = [0.0f32; LANES];
         for weights in self.weighted.as_chunks::<LANES>().0 {
@@ -221,7 +224,7 @@ impl Weights {
                 *most = if weight > *most { weight } else { *most };
             }
         }
-        if strata < 2 || least <= 0.0 || !most.iter().any(|most| *most >= least) {
+        if least <= 0.0 || !most.iter().any(|most| *most >= least) {
             return left;
         }
         for (group, weight) in self.weighted.iter_mut().enumerate().filter(|(_, weight)| **weight >= least) {
