@@ -410,4 +410,18 @@ mod tests {
             assert!(weights.widths.iter().all(|&width| width > 0), "{strata} strata: every group can be drawn");
         }
     }
+
+    /// What is kept by the stamp (a horizon's leaves) depends on the cell alone.
+    #[test]
+    fn weights_share_a_stamp_only_where_they_share_a_cell() {
+        let mut memo = Memo::default();
+        let mut stamp = |version, subject| memo.get(&Purpose { version, rays: 16, subject }, |_| ()).stamp;
+        let learned = |cell, record| Subject::Learned { cell, record };
+        let first = stamp(1, learned(7, 3));
+        assert_eq!(stamp(1, learned(7, 4)), first);
+        for other in [stamp(1, learned(8, 3)), stamp(2, learned(7, 3)), stamp(1, Subject::Normal(Vec3::X))] {
+            assert_ne!(other, first);
+        }
+        assert_ne!(stamp(1, Subject::Normal(Vec3::Y)), stamp(1, Subject::Normal(Vec3::Z)));
+    }
 }
