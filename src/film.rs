@@ -153,6 +153,12 @@ impl Film {
         Self { offset, size, pixels: vec![Pixel::default(); count], aovs, replicates: Replicates::default() }
     }
 
+    /// Makes all sums zero.
+    pub fn clear(&mut self) {
+        self.pixels.fill(Pixel::default());
+        self.aovs.fill([0.0; 12]);
+    }
+
     /// The index of a pixel of the full image.
     pub fn index(&self, [x, y]: [u32; 2]) -> usize {
         (y - self.offset[1]) as usize * self.size[0] as usize + (x - self.offset[0]) as usize

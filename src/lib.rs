@@ -40,3 +40,4 @@ pub mod render;
 pub mod sampler;
 pub mod scene;
 pub mod simd;
+pub mod vectors;

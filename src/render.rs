@@ -18,10 +18,10 @@ use crate::random;
 use crate::sampler::{DomeSampler, Draws, Numbers};
 use crate::scene::camera::View;
 use crate::scene::{Scene, Surface};
+use crate::simd::{Kernel, dispatch};
 use glam::Vec3;
 use rayon::prelude::*;
 use schedule::Pass;
-use std::hint::select_unpredictable;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::time::Instant;
 
@@ -203,6 +203,8 @@ impl Render<'_> {
         let work: f64 = passes.iter().map(Pass::work).sum();
         let (past, ahead) = passes.split_at(passes.len().min(state.passes as usize));
         let mut done: f64 = past.iter().map(Pass::work).sum();
+        let of_tile = |&[x, y, width, height]: &[u32; 4]| Film::new([x, y], [width, height], self.settings.aovs);
+        let mut films: Vec<Film> = tiles.iter().map(of_tile).collect();
         for pass in ahead {
             state.seconds = before + start.elapsed().as_secs_f64();
             // Without a first sample everywhere there is no picture: the learning stages always finish.
@@ -218,16 +220,18 @@ impl Render<'_> {
             }
             let finished = AtomicU64::new(0);
             let world = World { scene: self.scene, accel: self.accel, dome: self.dome, sampler: &*sampler };
-            let results: Vec<(Film, Counts)> = tiles
+            let counts: Vec<Counts> = tiles
                 .par_iter()
-                .map_init(Scratch::default, |scratch, tile| {
-                    let result = self.tile(&world, pass, *tile, scratch);
+                .zip(&mut films)
+                .map_init(Scratch::default, |scratch, (tile, film)| {
+                    film.clear();
+                    let counts = self.tile(&world, pass, *tile, film, scratch);
                     let share = (finished.fetch_add(1, Relaxed) + 1) as f64 / tiles.len() as f64;
                     (watch.progress)((done + share * pass.work()) / work);
-                    result
+                    counts
                 })
                 .collect();
-            for (tile, tile_counts) in &results {
+            for (tile, tile_counts) in films.iter().zip(&counts) {
                 state.picture.film.merge(tile);
                 state.picture.counts.add(tile_counts);
             }
@@ -257,39 +261,50 @@ impl Render<'_> {
         blocks(self.settings.crop, side).collect()
     }
 
-    fn tile(&self, world: &World<'_>, pass: &Pass, [x, y, width, height]: [u32; 4], s: &mut Scratch) -> (Film, Counts) {
-        let mut film = Film::new([x, y], [width, height], self.settings.aovs);
+    fn tile(
+        &self,
+        world: &World<'_>,
+        pass: &Pass,
+        [x, y, width, height]: [u32; 4],
+        film: &mut Film,
+        s: &mut Scratch,
+    ) -> Counts {
         let mut counts = Counts::default();
         let views = self.views(world.sampler);
         let each = schedule::replicate(&self.settings);
         // Block by block of what a sampler keeps together, all samples of a pixel together: neighbours share what is prepared.
-        // What is counted in a block is counted in the order of its pixels.
+        // What is counted in a block is counted in an order of its pixels that does not depend on the tile.
         s.cameras.clear();
+        s.pixels.clear();
+        let seed = |[column, row]: [u32; 2], of, purpose| random::hash(&[self.settings.seed, column, row, of, purpose]);
         for [x, y, width, height] in blocks([x, y, width, height], world.sampler.tile_multiple()) {
-            for (row, column) in (y..y + height).flat_map(|row| (x..x + width).map(move |column| (row, column))) {
-                if !pass.lattice.takes(column, row) {
-                    continue;
+            let pixels = (y..y + height).flat_map(|row| (x..x + width).map(move |column| [column, row]));
+            s.pixels.extend(pixels.filter(|&[column, row]| pass.lattice.takes(column, row)).map(|pixel| {
+                let numbers = seed(pixel, pass.sequence, 1);
+                (world.sampler.place(pixel, numbers), pixel, numbers)
+            }));
+        }
+        s.pixels.sort_by_key(|&(place, ..)| place);
+        for at in 0..s.pixels.len() {
+            let (_, pixel, numbers) = s.pixels[at];
+            let places = seed(pixel, pass.replicate, 0);
+            for sample in pass.first..pass.first + pass.count {
+                let numbers = Numbers { seed: numbers, sample };
+                // Shaded samples have the beginning of the sequence, one stratified set; all together are another.
+                let at = pass.before + sample;
+                for view in 0..views {
+                    let place = if view == 0 { at } else { each + at * (views - 1) + view - 1 };
+                    let place = random::sobol2(place, places).map(random::unit);
+                    s.cameras.push(CameraSample { pixel, place, numbers, shaded: view == 0 });
                 }
-                let seed = |of, purpose| random::hash(&[self.settings.seed, column, row, of, purpose]);
-                let (places, numbers) = (seed(pass.replicate, 0), seed(pass.sequence, 1));
-                for sample in pass.first..pass.first + pass.count {
-                    let numbers = Numbers { seed: numbers, sample };
-                    // Shaded samples have the beginning of the sequence, one stratified set; all together are another.
-                    let at = pass.before + sample;
-                    for view in 0..views {
-                        let place = if view == 0 { at } else { each + at * (views - 1) + view - 1 };
-                        let place = random::sobol2(place, places).map(random::unit);
-                        s.cameras.push(CameraSample { pixel: [column, row], place, numbers, shaded: view == 0 });
-                    }
-                    if s.cameras.len() + views as usize > CHUNK {
-                        self.chunk(world, pass.weight, s, &mut film, &mut counts);
-                    }
+                if s.cameras.len() + views as usize > CHUNK {
+                    self.chunk(world, pass.weight, s, film, &mut counts);
                 }
             }
         }
-        self.chunk(world, pass.weight, s, &mut film, &mut counts);
+        self.chunk(world, pass.weight, s, film, &mut counts);
         world.sampler.tally(&mut s.draws);
-        (film, counts)
+        counts
     }
 
     fn chunk(&self, world: &World<'_>, weight: f32, s: &mut Scratch, film: &mut Film, counts: &mut Counts) {
@@ -393,29 +408,66 @@ fn flush(world: &World<'_>, views: f32, s: &mut Scratch, counts: &mut Counts) {
     let queue = &mut s.queue;
     counts.shadow_rays += queue.rays.len() as u64;
     visibility::occluded(world.scene, world.accel, &queue.rays, &mut s.occluded, &mut s.visibility);
-    let mut rest = (&queue.contributions[..], &s.occluded[..]);
-    for of_sample in queue.samples.chunk_by(|a, b| a == b) {
-        let (contributions, occluded);
-        ((contributions, rest.0), (occluded, rest.1)) =
-            (rest.0.split_at(of_sample.len()), rest.1.split_at(of_sample.len()));
-        let sample = &mut s.samples[of_sample[0] as usize];
-        for (&contribution, &occluded) in contributions.iter().zip(occluded) {
-            // No branch: whether light arrives is a coin's toss.
-            let arrives = select_unpredictable(occluded == 0, contribution, Vec3::ZERO);
-            sample.radiance += views * arrives;
-            counts.max_weight = counts.max_weight.max(arrives.max_element());
+    let mut first = 0;
+    for &(sample, rays) in &queue.samples {
+        let Some(aovs) = &mut s.samples[sample as usize].aovs else { break };
+        for i in first..first + rays as usize {
+            let light = Dome::weight(queue.contributions.get(i).to_array());
+            aovs.light[1] += light;
+            aovs.light[0] += if s.occluded[i] == 0 { light } else { 0.0 };
         }
-        if let Some(aovs) = &mut sample.aovs {
-            for (&contribution, &occluded) in contributions.iter().zip(occluded) {
-                let light = Dome::weight(contribution.to_array());
-                aovs.light[1] += light;
-                aovs.light[0] += if occluded == 0 { light } else { 0.0 };
-            }
-        }
+        first += rays as usize;
+    }
+    let contributions = queue.contributions.resize(queue.rays.len(), 0);
+    counts.max_weight = counts.max_weight.max(dispatch(Arrive { contributions, occluded: &s.occluded }));
+    let [r, g, b] = queue.contributions.rows();
+    let mut first = 0;
+    for &(sample, rays) in &queue.samples {
+        let of_sample = first..first + rays as usize;
+        let arrived = [r, g, b].map(|row| row[of_sample.clone()].iter().sum::<f32>());
+        s.samples[sample as usize].radiance += views * Vec3::from(arrived);
+        first = of_sample.end;
     }
     queue.in_order(&mut s.occluded);
     world.sampler.observe(&queue.targets, &s.occluded);
     queue.clear();
+}
+
+/// Contributions treated together.
+const LANES: usize = 16;
+
+/// Takes away what does not arrive; the largest component that does.
+struct Arrive<'a> {
+    contributions: [&'a mut [f32]; 3],
+    occluded: &'a [u8],
+}
+
+impl Kernel for Arrive<'_> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn run(self) -> f32 {
+        let Self { contributions, occluded } = self;
+        // No branch: whether light arrives is a coin's toss.
+        let arrives = |contribution: f32, occluded: u8| if occluded == 0 { contribution } else { 0.0 };
+        let mut most = [0.0f32; LANES];
+        for row in contributions {
+            let (chunks, rest) = row.as_chunks_mut::<LANES>();
+            let (occluded, occluded_rest) = occluded.as_chunks::<LANES>();
+            for (chunk, occluded) in chunks.iter_mut().zip(occluded) {
+                for i in 0..LANES {
+                    let arrives = arrives(chunk[i], occluded[i]);
+                    chunk[i] = arrives;
+                    most[i] = if arrives > most[i] { arrives } else { most[i] };
+                }
+            }
+            for (contribution, &occluded) in rest.iter_mut().zip(occluded_rest) {
+                *contribution = arrives(*contribution, occluded);
+                most[0] = most[0].max(*contribution);
+            }
+        }
+        most.into_iter().fold(0.0, f32::max)
+    }
 }
 
 /// A camera ray to be traced.
@@ -441,6 +493,8 @@ struct Waiting {
 /// A thread's memory, used again from tile to tile.
 #[derive(Debug, Default)]
 struct Scratch {
+    /// The tile's pixels by what they will look up, each with its numbers' seed.
+    pixels: Vec<(u32, [u32; 2], u32)>,
     cameras: Vec<CameraSample>,
     rays: Vec<Ray>,
     hits: Vec<Hit>,

@@ -7,6 +7,7 @@
 //! roughness of 0.05 the lobe is left to its own directions. A Lambertian point draws from the dome and knows nothing of
 //! MIS.
 
+use super::lambert::Lambert;
 use super::{Integrator, MakeIntegrator, Queue, Shading, World};
 use crate::accel::Ray;
 use crate::bsdf::ggx::{self, Frame};
@@ -16,7 +17,7 @@ use crate::random;
 use crate::registry::Plugin;
 use crate::sampler::shadow_cache::NO_TARGET;
 use crate::sampler::{DomeSampler, Draws, Numbers, Point};
-use crate::scene::offset_origin;
+use crate::scene::{Surface, offset_origin};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
@@ -187,45 +188,39 @@ impl Shade<'_> {
         let (ns, ng) = (surface.ns, surface.ng);
         let point = sampled(self.point, self.bsdf);
         self.world.sampler.draw(&point, self.shares.dome, draws);
-        let n = draws.dir.len() as f32;
         let k = self.bsdf.diffuse * FRAC_1_PI;
-        let control: Vec3 = draws.control.iter().zip(&draws.pdf).map(|(&control, pdf)| control * pdf.recip()).sum();
         // All directions are on the normal's side: they begin at one place.
         let origin = offset_origin(surface.position, surface.error, ng, ng);
-        let lambert = self.is_apart().then(|| k / n);
-        let Draws { dir, radiance, pdf, target, .. } = &*draws;
-        // What is no number is not hidden: it is traced, found out and counted.
-        let is_hidden = |i: usize| dir[i].dot(ns) <= 0.0 || dir[i].dot(ng) <= 0.0 || radiance[i] == Vec3::ZERO;
-        let mut from = 0;
-        while from < dir.len() {
-            if is_hidden(from) {
-                // Hidden by the surface itself: no ray, but the control variate still counts.
-                if radiance[from] != Vec3::ZERO
-                    && let Some(&target) = target.get(from)
-                {
-                    queue.hide(target);
-                }
-                from += 1;
+        let control = if self.is_apart() {
+            Lambert { origin, ng, ns, k }.queue(draws, queue)
+        } else {
+            self.both(draws, queue, origin)
+        };
+        k * (draws.integral - control)
+    }
+
+    /// Directions from the dome for both terms; returns the control variate's mean over them.
+    fn both(&self, draws: &Draws, queue: &mut Queue, origin: Vec3) -> Vec3 {
+        let Surface { ns, ng, .. } = *self.point.surface;
+        let Draws { dir, radiance, pdf, control, target, .. } = draws;
+        let n = dir.len() as f32;
+        let mut sum = Vec3::ZERO;
+        for (i, &pdf) in pdf.iter().enumerate() {
+            let (dir, radiance, target) = (dir.get(i), radiance.get(i), target.get(i));
+            sum += radiance * control.get(i).map_or(0.0, |control| control / pdf);
+            if radiance == Vec3::ZERO {
                 continue;
             }
-            let to = (from..dir.len()).find(|&i| is_hidden(i)).unwrap_or(dir.len());
-            let run = dir[from..to].iter().zip(&radiance[from..to]).zip(&pdf[from..to]);
-            let targets = target.get(from..to).unwrap_or_default();
-            match lambert {
-                Some(lambert) => {
-                    let add = |((dir, radiance), pdf): ((&Vec3, &Vec3), &f32)| radiance * lambert * (dir.dot(ns) / pdf);
-                    queue.extend(origin, &dir[from..to], run.map(add), targets);
-                }
-                None => {
-                    let add = |((&dir, &radiance), pdf): ((&Vec3, &Vec3), &f32)| {
-                        radiance * self.reflectance(dir, n * pdf) * dir.dot(ns)
-                    };
-                    queue.extend(origin, &dir[from..to], run.map(add), targets);
-                }
+            // What is no number is not hidden: it is traced, found out and counted.
+            if dir.dot(ns) <= 0.0 || dir.dot(ng) <= 0.0 {
+                // Hidden by the surface itself: no ray, but the control variate still counts.
+                target.into_iter().for_each(|&target| queue.hide(target));
+            } else {
+                queue.push(Ray::new(origin, dir), radiance * self.reflectance(dir, n * pdf) * dir.dot(ns));
+                queue.targets.extend(target);
             }
-            from = to;
         }
-        k * (draws.integral - control / n)
+        sum / n
     }
 
     /// What a direction drawn from the dome adds by its radiance: the diffuse term by the density of all the dome's
@@ -249,7 +244,8 @@ impl Shade<'_> {
         self.world.sampler.draw_gloss(&point, self.shares.gloss, draws);
         let n = draws.dir.len() as f32;
         let origin = offset_origin(surface.position, surface.error, surface.ng, surface.ng);
-        for (i, ((&dir, &radiance), &pdf)) in draws.dir.iter().zip(&draws.radiance).zip(&draws.pdf).enumerate() {
+        for i in 0..draws.dir.len() {
+            let (dir, radiance, pdf) = (draws.dir.get(i), draws.radiance.get(i), draws.pdf[i]);
             let local = self.lobe.frame.to_local(dir);
             let target = draws.target.get(i);
             if local.z <= 0.0 || dir.dot(surface.ng) <= 0.0 {

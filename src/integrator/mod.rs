@@ -5,6 +5,7 @@
 
 pub mod ao;
 pub mod direct;
+mod lambert;
 pub mod visibility;
 
 use crate::accel::{Accel, Ray};
@@ -13,6 +14,7 @@ use crate::error::Result;
 use crate::registry::{Params, Plugin};
 use crate::sampler::{DomeSampler, Draws, Numbers};
 use crate::scene::{Scene, Surface};
+use crate::vectors::Vectors;
 use glam::Vec3;
 use std::fmt::Debug;
 
@@ -52,10 +54,10 @@ pub struct Queue {
     /// The rays.
     pub rays: Vec<Ray>,
     /// What each adds to its sample if it arrives.
-    pub contributions: Vec<Vec3>,
-    /// The camera sample it belongs to, an index of the renderer's.
-    pub samples: Vec<u32>,
-    /// What the sampler counts it towards; empty when nothing is learned.
+    pub contributions: Vectors,
+    /// The camera samples they belong to, an index of the renderer's, and how many rays each has.
+    pub samples: Vec<(u32, u32)>,
+    /// What the sampler counts a ray towards; empty when nothing is learned.
     pub targets: Vec<u32>,
     /// Targets of directions known to be hidden without a ray, each with how many rays came before it.
     pub hidden: Vec<(u32, u32)>,
@@ -69,7 +71,16 @@ impl Queue {
     pub fn push(&mut self, ray: Ray, contribution: Vec3) {
         self.rays.push(ray);
         self.contributions.push(contribution);
-        self.samples.push(self.sample);
+        self.add(1);
+    }
+
+    /// Says that so many rays of the current sample were added.
+    #[inline]
+    pub fn add(&mut self, rays: u32) {
+        match self.samples.last_mut() {
+            Some((sample, count)) if *sample == self.sample => *count += rays,
+            _ => self.samples.push((self.sample, rays)),
+        }
     }
 
     /// Counts a direction of the current sample that is hidden without a ray.
@@ -97,21 +108,6 @@ impl Queue {
             (from, to) = (before, after - 1);
             (self.targets[to], occluded[to]) = (target, 1);
         }
-    }
-
-    /// Queues rays of the current sample from one place.
-    #[inline]
-    pub fn extend(
-        &mut self,
-        origin: Vec3,
-        dirs: &[Vec3],
-        contributions: impl ExactSizeIterator<Item = Vec3>,
-        targets: &[u32],
-    ) {
-        self.rays.extend(dirs.iter().map(|&dir| Ray::new(origin, dir)));
-        self.contributions.extend(contributions);
-        self.samples.resize(self.rays.len(), self.sample);
-        self.targets.extend_from_slice(targets);
     }
 
     /// Empties the queue, keeping its memory.

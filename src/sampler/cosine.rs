@@ -36,9 +36,7 @@ impl DomeSampler for Cosine {
             // At least 1e-5: far above what rounding could take below the horizon.
             let squared = open_unit(a);
             let dir = about(point.ns, squared.sqrt(), (1.0 - squared).sqrt(), b);
-            out.dir.push(dir);
-            out.radiance.push(self.dome.lookup(dir).0);
-            out.pdf.push(density(point.ns, dir));
+            out.push(dir, self.dome.lookup(dir).0, density(point.ns, dir));
         }
     }
 

@@ -161,10 +161,10 @@ impl DomeSampler for LatLong {
                 let ring = ((1.0 - z) * (1.0 + z)).max(0.0).sqrt() as f32;
                 let angle = (column.fraction(random::mix(fresh)) - 0.5) as f32 * self.step;
                 let [cos, sin] = turn(self.middles[column.index as usize], angle);
-                out.dir.push(Vec3::new(ring * cos, z as f32, ring * sin));
+                let dir = Vec3::new(ring * cos, z as f32, ring * sin);
                 let texel = row.index as usize * self.middles.len() + column.index as usize;
-                out.radiance.push(Vec3::from(self.dome.texels[texel]));
-                out.pdf.push((cell.density * column.width as f64) as f32);
+                let radiance = Vec3::from(self.dome.texels[texel]);
+                out.push(dir, radiance, (cell.density * column.width as f64) as f32);
             }
         }
     }

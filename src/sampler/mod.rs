@@ -23,6 +23,7 @@ use crate::dome::Dome;
 use crate::error::Result;
 use crate::random;
 use crate::registry::{Params, Plugin};
+use crate::vectors::Vectors;
 use glam::Vec3;
 use std::fmt::Debug;
 use std::io::{self, Read, Write};
@@ -84,17 +85,19 @@ impl Numbers {
 #[derive(Debug, Default)]
 pub struct Draws {
     /// Unit directions towards the dome.
-    pub dir: Vec<Vec3>,
+    pub dir: Vectors,
     /// Radiance of the texel drawn.
-    pub radiance: Vec<Vec3>,
+    pub radiance: Vectors,
     /// Density of each direction, steradians⁻¹.
     pub pdf: Vec<f32>,
-    /// Control variate b·h of each direction, W·m⁻²·sr⁻¹ a channel; empty when the sampler has none.
-    pub control: Vec<Vec3>,
+    /// The control variate by the radiance, b·(n·ω), of each direction; empty when the sampler has none.
+    pub control: Vec<f32>,
     /// The control variate's exact integral over the sphere, W·m⁻² a channel.
     pub integral: Vec3,
     /// What [`DomeSampler::observe`] counts each ray towards; empty when nothing is learned.
     pub target: Vec<u32>,
+    /// Scratch of the integrator's: what becomes of each direction.
+    pub fate: Vec<u32>,
     /// Scratch of the sampler's own: what it prepared for this point.
     pub prepared: Prepared,
     /// Look-ups in the shadow cache since the last [`DomeSampler::tally`].
@@ -120,6 +123,14 @@ pub struct Prepared {
 }
 
 impl Draws {
+    /// Adds a direction, the radiance that comes from there and its density.
+    #[inline]
+    pub fn push(&mut self, dir: Vec3, radiance: Vec3, pdf: f32) {
+        self.dir.push(dir);
+        self.radiance.push(radiance);
+        self.pdf.push(pdf);
+    }
+
     /// Empties all lists, keeping their memory.
     pub fn clear(&mut self) {
         self.dir.clear();
@@ -206,6 +217,12 @@ pub trait DomeSampler: Debug + Send + Sync {
     /// Whether its density is 0 where light comes from, so that directions drawn from the surface must cover that.
     fn needs_partner(&self) -> bool {
         false
+    }
+
+    /// Where what was learned will be looked up for a pixel with numbers of this seed: pixels of one place share most if they
+    /// are drawn one after another.
+    fn place(&self, _pixel: [u32; 2], _seed: u32) -> u32 {
+        0
     }
 
     /// Tiles must be a multiple of this many pixels wide and high, because what is learned is kept in such blocks.

@@ -121,21 +121,34 @@ impl ShadowCache {
         [clamp(x, self.blocks[0]), clamp(y, self.blocks[1])]
     }
 
-    fn index_of(&self, [x, y]: [i32; 2]) -> Option<usize> {
-        let within = (0..self.blocks[0] as i32).contains(&x) && (0..self.blocks[1] as i32).contains(&y);
-        within.then(|| y as usize * self.blocks[0] as usize + x as usize)
+    /// The slots of a block: those of a row of blocks follow each other, the first of each, then the second of each. Most
+    /// blocks hold one record, and memory without records is never touched.
+    fn slots_of(&self, [x, y]: [usize; 2]) -> impl Iterator<Item = usize> + Clone {
+        let row = self.blocks[0] as usize;
+        (0..SLOTS).map(move |slot| (y * SLOTS + slot) * row + x)
     }
 
     /// The slot of the frozen record that a point reads: of its kind of surface, at the distance nearest to its own. `jitter` (two
     /// numbers in [−½, ½)) moves the look-up by up to half a block, so that the edges of blocks turn into noise. Where
     /// nobody has been yet, a record near by has to do.
     pub fn find(&self, pixel: [u32; 2], key: u32, jitter: [f32; 2]) -> Option<u32> {
-        let side = self.block as f32;
-        let [x, y] = [0, 1].map(|i| pixel[i] as f32 + 0.5);
-        let moved = self.block_of((x + jitter[0] * side).max(0.0), (y + jitter[1] * side).max(0.0));
-        let own = self.block_of(x, y);
+        let moved = self.moved(pixel, jitter);
+        let own = self.moved(pixel, [0.0; 2]);
         let found = self.nearest(moved, key).or_else(|| self.nearest(own, key));
         found.or_else(|| self.near_by(own, key)).map(|slot| slot as u32)
+    }
+
+    /// The block that a look-up falls to.
+    fn moved(&self, pixel: [u32; 2], jitter: [f32; 2]) -> [i32; 2] {
+        let side = self.block as f32;
+        let [x, y] = [0, 1].map(|i| (pixel[i] as f32 + 0.5 + jitter[i] * side).max(0.0));
+        self.block_of(x, y)
+    }
+
+    /// The number of the block that a look-up falls to.
+    pub fn place(&self, pixel: [u32; 2], jitter: [f32; 2]) -> u32 {
+        let [x, y] = self.moved(pixel, jitter);
+        y as u32 * self.blocks[0] + x as u32
     }
 
     /// A record of the kind in the rings of blocks around one, the nearest first.
@@ -149,8 +162,9 @@ impl ShadowCache {
     }
 
     fn nearest(&self, block: [i32; 2], key: u32) -> Option<usize> {
-        let block = self.index_of(block)?;
-        let slots = block * SLOTS..(block + 1) * SLOTS;
+        let [x, y] = block;
+        let within = (0..self.blocks[0] as i32).contains(&x) && (0..self.blocks[1] as i32).contains(&y);
+        let slots = within.then(|| self.slots_of([x as usize, y as usize]))?;
         let alike = slots.filter(|&slot| self.frozen[slot] & 7 == key & 7 && self.frozen[slot] != 0);
         alike
             .min_by_key(|&slot| (self.frozen[slot] >> 3).abs_diff(key >> 3))
@@ -160,8 +174,7 @@ impl ShadowCache {
     /// Where the rays of a point are counted: the index of its first group, [`NO_TARGET`] when its block is full.
     pub fn admit(&self, pixel: [u32; 2], key: u32) -> u32 {
         let [x, y] = self.block_of(pixel[0] as f32 + 0.5, pixel[1] as f32 + 0.5);
-        let block = y as usize * self.blocks[0] as usize + x as usize;
-        for slot in block * SLOTS..(block + 1) * SLOTS {
+        for slot in self.slots_of([x as usize, y as usize]) {
             let held = self.keys[slot].load(Relaxed);
             if held == 0 {
                 self.keys[slot].store(key, Relaxed);
@@ -215,20 +228,20 @@ impl ShadowCache {
         }
         let frozen = &*frozen;
         // Rows of blocks, so that regions are pieces of them side by side.
-        let row = blocks[0] as usize * SLOTS;
-        let rows = row * REGION;
+        let row = blocks[0] as usize;
+        let rows = row * SLOTS * REGION;
         let pieces = visibility.par_chunks_mut(rows * groups).zip(counts.par_chunks_mut(rows * groups));
         pieces.enumerate().for_each_init(
             || Posterior::new(groups),
             |posterior, (y, (visibility, counts))| {
                 let first = y * rows;
                 let count = visibility.len() / groups;
-                for x in (0..row).step_by(REGION * SLOTS) {
-                    let columns = x..(x + REGION * SLOTS).min(row);
+                for x in (0..row).step_by(REGION) {
+                    let columns = x..(x + REGION).min(row);
                     let slots = (0..count).step_by(row).flat_map(|line| columns.clone().map(move |slot| line + slot));
                     let held = slots.filter(|slot| frozen[first + slot] != 0);
                     let member =
-                        |slot: usize| (frozen[first + slot], Member::new((slot % row - x) / SLOTS, slot / row, slot));
+                        |slot: usize| (frozen[first + slot], Member::new(slot % row - x, slot / row / SLOTS, slot));
                     let mut members: Vec<(u32, Member)> = held.map(member).collect();
                     members.sort_unstable();
                     for alike in members.chunk_by(|a, b| a.0 == b.0) {

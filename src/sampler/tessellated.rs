@@ -240,9 +240,7 @@ impl DomeSampler for Tessellated {
         self.walk(point, n, out);
         if out.dir.is_empty() {
             // Nothing shines on this side.
-            out.dir.push(-point.ns);
-            out.radiance.push(Vec3::ZERO);
-            out.pdf.push(1.0);
+            out.push(-point.ns, Vec3::ZERO, 1.0);
         }
     }
 
@@ -268,7 +266,7 @@ impl DomeSampler for Tessellated {
             } else {
                 share(width, leaf.counts)
             };
-            share(counts.widths[leaf_of_group], counts.total) * in_leaf
+            share(counts.width(leaf_of_group), counts.total()) * in_leaf
         };
         let probability = share(weights.widths[group], weights.total) * in_group;
         (probability / self.cells.solid_angle(cell)) as f32
@@ -322,6 +320,10 @@ impl DomeSampler for Tessellated {
     fn expected(&self, point: &Point, out: &mut Draws) -> Vec3 {
         let record = self.memory.read(point, &mut out.prepared.found);
         self.expected.irradiance(record, ShadowCache::axis(point.ng), point.ns)
+    }
+
+    fn place(&self, pixel: [u32; 2], seed: u32) -> u32 {
+        self.memory.place(pixel, seed)
     }
 
     fn tile_multiple(&self) -> u32 {
@@ -431,7 +433,7 @@ mod tests {
             let what = format!("α {alpha}, normal {normal}");
             assert_eq!(draws.dir.len(), 64, "{what}");
             let mut bright = 0;
-            for (&dir, &pdf) in draws.dir.iter().zip(&draws.pdf) {
+            for (dir, &pdf) in draws.dir.iter().zip(&draws.pdf) {
                 let texel = dome.grid.texel(dir);
                 let again = sampler.pdf_gloss(&draws, dir, texel);
                 assert!((again / pdf - 1.0).abs() < 1e-4, "{what}: drawn with {pdf}, said to be {again}");

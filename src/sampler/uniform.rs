@@ -45,9 +45,7 @@ impl DomeSampler for Uniform {
             let [a, b] = point.numbers.square(i, n);
             let z = open_unit(a);
             let dir = about(point.ns, z, (1.0 - z * z).max(0.0).sqrt(), b);
-            out.dir.push(dir);
-            out.radiance.push(self.dome.lookup(dir).0);
-            out.pdf.push(DENSITY);
+            out.push(dir, self.dome.lookup(dir).0, DENSITY);
         }
     }
 

@@ -107,10 +107,10 @@ fn dim_regions_get_their_share(spec: &str, width: u32, height: u32, draws_wanted
     let observed = (0..draws_wanted / 64).into_par_iter().map_init(Draws::default, |draws, batch| {
         let mut counts = vec![0.0; (ROWS * COLUMNS) as usize];
         sampler.draw(&point(n, batch + 2), 64, draws);
-        for (dir, radiance) in draws.dir.iter().zip(&draws.radiance) {
-            let texel = dome.lookup(*dir).1;
+        for (dir, radiance) in draws.dir.iter().zip(draws.radiance.iter()) {
+            let texel = dome.lookup(dir).1;
             // Of a round trip through the direction only the region counts; the sun is told by its radiance.
-            if *radiance != Vec3::ZERO && radiance.x != radiance.y {
+            if radiance != Vec3::ZERO && radiance.x != radiance.y {
                 counts[region(texel)] += 1.0;
             }
         }

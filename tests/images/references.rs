@@ -41,14 +41,14 @@ impl Integrator for Dimming {
         let point = Point { pixel, distance, ng: surface.ng, ns: surface.ns, wo, bsdf, numbers };
         world.sampler.draw(&point, rays, draws);
         for i in 0..draws.dir.len() {
-            let dir = draws.dir[i];
+            let dir = draws.dir.get(i);
             let cosine = dir.dot(surface.ns);
             if cosine <= 0.0 || dir.dot(surface.ng) <= 0.0 {
                 continue;
             }
             let weight = FRAC_1_PI * cosine / (draws.pdf[i] * draws.dir.len() as f32);
             let origin = offset_origin(surface.position, surface.error, surface.ng, dir);
-            queue.push(Ray::new(origin, dir), draws.radiance[i] * dimmed * weight);
+            queue.push(Ray::new(origin, dir), draws.radiance.get(i) * dimmed * weight);
         }
         Vec3::ZERO
     }

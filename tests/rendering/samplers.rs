@@ -61,9 +61,9 @@ fn assert_unbiased(what: &str, dome: &Dome, n: Vec3, values: &[DVec3], shares: &
 fn estimate(draws: &Draws, n: Vec3) -> DVec3 {
     let count = draws.dir.len() as f64;
     let value = |i: usize| {
-        let cosine = f64::from(n.dot(draws.dir[i]).max(0.0));
-        let control = draws.control.get(i).map_or(DVec3::ZERO, |c| c.as_dvec3());
-        (draws.radiance[i].as_dvec3() * cosine - control) / f64::from(draws.pdf[i])
+        let cosine = f64::from(n.dot(draws.dir.get(i)).max(0.0));
+        let control = draws.control.get(i).map_or(0.0, |&control| f64::from(control));
+        draws.radiance.get(i).as_dvec3() * (cosine - control) / f64::from(draws.pdf[i])
     };
     let integral = if draws.control.is_empty() { DVec3::ZERO } else { draws.integral.as_dvec3() };
     integral + (0..draws.dir.len()).map(value).sum::<DVec3>() / count
@@ -104,8 +104,8 @@ fn compensated_sampling_beside_the_cosine_is_without_bias() {
                         let point = point(*n, hash(&[9, k as u32, batch, s as u32]));
                         sampler.draw(&point, RAYS / 2, draws);
                         for (i, dir) in draws.dir.iter().enumerate() {
-                            let other = pair[1 - s].pdf(&point, draws, *dir, dome.grid.texel(*dir));
-                            let light = draws.radiance[i].as_dvec3() * f64::from(n.dot(*dir).max(0.0));
+                            let other = pair[1 - s].pdf(&point, draws, dir, dome.grid.texel(dir));
+                            let light = draws.radiance.get(i).as_dvec3() * f64::from(n.dot(dir).max(0.0));
                             sum += light / f64::from(draws.pdf[i] + other);
                         }
                     }
@@ -128,19 +128,21 @@ fn check_reports(spec: &str, sampler: &dyn DomeSampler, dome: &Dome, n: Vec3) {
         assert_eq!(draws.dir.len(), draws.radiance.len());
         assert!(draws.control.is_empty() || draws.control.len() == draws.dir.len());
         for (i, dir) in draws.dir.iter().enumerate() {
-            if *dir == -n && draws.radiance[i] == Vec3::ZERO {
+            if dir == -n && draws.radiance.get(i) == Vec3::ZERO {
                 continue; // The draw that found no light.
             }
-            let near = texels_near(&dome.grid, *dir);
+            let near = texels_near(&dome.grid, dir);
             // A sampler's own cells may be finer than texels: rounding may put a direction just across their border.
             let nudged = [Vec3::ZERO, Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z];
             let agrees = |texel: &&u32| {
                 let pdf = |nudge: &Vec3| sampler.pdf(&point, &draws, (dir + nudge * 1e-6).normalize(), **texel);
                 nudged.iter().any(|nudge| (pdf(nudge) - draws.pdf[i]).abs() <= 1e-4 * draws.pdf[i])
             };
-            let found =
-                near.iter().filter(agrees).any(|texel| dome.texels[*texel as usize] == draws.radiance[i].to_array());
-            let claims: Vec<_> = near.iter().map(|t| sampler.pdf(&point, &draws, *dir, *t)).collect();
+            let found = near
+                .iter()
+                .filter(agrees)
+                .any(|texel| dome.texels[*texel as usize] == draws.radiance.get(i).to_array());
+            let claims: Vec<_> = near.iter().map(|t| sampler.pdf(&point, &draws, dir, *t)).collect();
             assert!(found, "{spec}, normal {n}: drew {dir} with density {}, pdf() says {claims:?}", draws.pdf[i]);
         }
     }

@@ -88,8 +88,8 @@ pub(super) fn drawn(sampler: &dyn DomeSampler, normal: Vec3, most: f64) -> Canva
     for seed in 0..POINTS {
         sampler.draw(&point(normal, seed), DRAWS, &mut draws);
         total += draws.dir.len() as f64;
-        for dir in &draws.dir {
-            counts[grid.texel(*dir) as usize] += 1;
+        for dir in draws.dir.iter() {
+            counts[grid.texel(dir) as usize] += 1;
         }
     }
     let density = |i: usize| f64::from(counts[i]) / (total * grid.solid_angle(i as u32 / grid.width));

@@ -61,28 +61,69 @@ struct Square {
 #[derive(Debug)]
 pub(super) struct Posterior {
     groups: usize,
+    /// What the records of each square have counted together: squares of 2, 4, .. blocks each way, along the Z-curve.
+    sums: [Vec<Sum>; DEPTH as usize],
     /// From the region down to the block: the square that is being looked at, each inside the one before.
     squares: Vec<Square>,
+}
+
+/// Counts of records together, by group: no square has seen more than the 16 bits hold.
+#[derive(Debug, Clone)]
+struct Sum {
+    seen: Vec<u16>,
+    rays: Vec<u16>,
 }
 
 impl Posterior {
     pub(super) fn new(groups: usize) -> Self {
         let row = || vec![0.0; groups];
         let square = || Square { seen: row(), rays: row(), visibility: row() };
-        Self { groups, squares: (0..=DEPTH).map(|_| square()).collect() }
+        let sum = || Sum { seen: vec![0; groups], rays: vec![0; groups] };
+        let squares_of = |depth: usize| (REGION * REGION) >> (2 * (depth + 1));
+        let sums = std::array::from_fn(|depth| vec![sum(); squares_of(depth)]);
+        Self { groups, sums, squares: (0..=DEPTH).map(|_| square()).collect() }
     }
 
     /// Takes the records of one kind in a region, in the order of their places, for what `counts` say: `visibility`, in 255ths.
     pub(super) fn of(&mut self, members: &[Member], counts: &mut [AtomicU16], visibility: &mut [u8]) {
-        let Self { groups, squares } = self;
-        squares[0].sum(members, counts, *groups);
+        let Self { groups, sums, squares } = self;
+        add_up(sums, members, counts, *groups);
+        squares[0].load(members, DEPTH, sums, counts);
         squares[0].sum_up();
-        descend(squares, members, DEPTH, counts, visibility);
+        descend(squares, members, DEPTH, (sums, counts), visibility);
+    }
+}
+
+/// Adds up what the records of each square have counted, from the smallest squares to the largest.
+fn add_up(sums: &mut [Vec<Sum>], members: &[Member], counts: &mut [AtomicU16], groups: usize) {
+    for depth in 1..=sums.len() {
+        let (below, sums) = sums.split_at_mut(depth - 1);
+        let square = |member: &Member, depth: usize| member.place as usize >> (2 * depth);
+        for of_square in members.chunk_by(|a, b| square(a, depth) == square(b, depth)) {
+            let sum = &mut sums[0][square(&of_square[0], depth)];
+            sum.seen.fill(0);
+            sum.rays.fill(0);
+            let Some(below) = below.last() else {
+                for member in of_square {
+                    dispatch(Count { record: &mut counts[member.slot * groups..][..groups], sum });
+                }
+                continue;
+            };
+            for part in of_square.chunk_by(|a, b| square(a, depth - 1) == square(b, depth - 1)) {
+                dispatch(Add { part: &below[square(&part[0], depth - 1)], sum });
+            }
+        }
     }
 }
 
 /// Looks at the smaller squares of the first, whose records are `members`; it has 2^`depth` blocks each way.
-fn descend(squares: &mut [Square], members: &[Member], depth: u32, counts: &mut [AtomicU16], visibility: &mut [u8]) {
+fn descend(
+    squares: &mut [Square],
+    members: &[Member],
+    depth: u32,
+    (sums, counts): (&[Vec<Sum>], &mut [AtomicU16]),
+    visibility: &mut [u8],
+) {
     let [around, inner @ ..] = squares else { return };
     let groups = around.visibility.len();
     // No light at all, and not in one block alone: as far as anyone knows it is dark here, and the estimate exactly so.
@@ -99,10 +140,10 @@ fn descend(squares: &mut [Square], members: &[Member], depth: u32, counts: &mut 
             // The same records: they have had their say.
             inner[0].copy(around);
         } else {
-            inner[0].sum(part, counts, groups);
+            inner[0].load(part, depth - 1, sums, counts);
             dispatch(Refine { square: &mut inner[0], prior: &around.visibility });
         }
-        descend(inner, part, depth - 1, counts, visibility);
+        descend(inner, part, depth - 1, (sums, counts), visibility);
     }
 }
 
@@ -113,11 +154,22 @@ fn posterior((seen, rays): (f32, f32), prior: f32) -> f32 {
 }
 
 impl Square {
-    fn sum(&mut self, members: &[Member], counts: &mut [AtomicU16], groups: usize) {
-        self.seen.fill(0.0);
-        self.rays.fill(0.0);
-        for member in members {
-            dispatch(Add { record: &mut counts[member.slot * groups..][..groups], square: self });
+    /// What the records of a square of 2^`depth` blocks each way have counted.
+    fn load(&mut self, members: &[Member], depth: u32, sums: &[Vec<Sum>], counts: &mut [AtomicU16]) {
+        let groups = self.seen.len();
+        let member = members[0];
+        match depth.checked_sub(1) {
+            Some(above) => {
+                let Sum { seen, rays } = &sums[above as usize][member.place as usize >> (2 * depth)];
+                dispatch(Load { from: seen, to: &mut self.seen });
+                dispatch(Load { from: rays, to: &mut self.rays });
+            }
+            None => {
+                let record = &mut counts[member.slot * groups..][..groups];
+                for ((seen, rays), count) in self.seen.iter_mut().zip(&mut self.rays).zip(record) {
+                    (*seen, *rays) = split(*count.get_mut()).map(f32::from).into();
+                }
+            }
         }
     }
 
@@ -157,10 +209,36 @@ impl Square {
     }
 }
 
+/// Rays that arrived and rays, of a count.
+#[inline(always)]
+fn split(count: u16) -> [u16; 2] {
+    [count & 0xff, count >> 8]
+}
+
 /// Adds a record's counts to its square's.
-struct Add<'a> {
+struct Count<'a> {
     record: &'a mut [AtomicU16],
-    square: &'a mut Square,
+    sum: &'a mut Sum,
+}
+
+impl Kernel for Count<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Sum { seen, rays } = self.sum;
+        for ((seen, rays), count) in seen.iter_mut().zip(rays).zip(self.record) {
+            let [of_seen, of_rays] = split(*count.get_mut());
+            *seen += of_seen;
+            *rays += of_rays;
+        }
+    }
+}
+
+/// Adds the counts of a part to its square's.
+struct Add<'a> {
+    part: &'a Sum,
+    sum: &'a mut Sum,
 }
 
 impl Kernel for Add<'_> {
@@ -168,11 +246,29 @@ impl Kernel for Add<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Square { seen, rays, .. } = self.square;
-        for ((seen, rays), count) in seen.iter_mut().zip(rays).zip(self.record) {
-            let count = *count.get_mut();
-            *seen += f32::from(count & 0xff);
-            *rays += f32::from(count >> 8);
+        let Self { part, sum } = self;
+        for (sum, part) in sum.seen.iter_mut().zip(&part.seen) {
+            *sum += part;
+        }
+        for (sum, part) in sum.rays.iter_mut().zip(&part.rays) {
+            *sum += part;
+        }
+    }
+}
+
+/// Counts as the numbers that are reckoned with.
+struct Load<'a> {
+    from: &'a [u16],
+    to: &'a mut [f32],
+}
+
+impl Kernel for Load<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for (to, &from) in self.to.iter_mut().zip(self.from) {
+            *to = f32::from(from);
         }
     }
 }

@@ -6,8 +6,8 @@
 use super::Tessellated;
 use super::leaves::{LeafCounts, LeafMemo};
 use super::normals::Aim;
-use super::texels::{Lit, Span};
-use super::weights::Weights;
+use super::texels::{Lit, Span, bounds, find};
+use super::weights::{Subject, Weights};
 use crate::random;
 use crate::sampler::Numbers;
 use crate::sampler::cells::{DrawRow, Place, Sides};
@@ -197,6 +197,32 @@ impl Kernel for Aimed<'_> {
     }
 }
 
+/// The beginnings of as many groups as there usually are.
+type Usual = [[u32; GROUP_LANES]; 32];
+
+/// The row of a lane that count `at` falls to.
+#[inline(always)]
+fn search(begins: &[[u32; GROUP_LANES]], lane: usize, at: u32) -> usize {
+    let (mut found, mut size) = (0, begins.len());
+    while size > 1 {
+        let next = found + size / 2;
+        found = select_unpredictable(begins[next][lane] <= at, next, found);
+        size -= size / 2;
+    }
+    found
+}
+
+/// The same where the compiler knows all steps: a third of the instructions.
+#[inline(always)]
+fn search_usual(begins: &Usual, lane: usize, at: u32) -> usize {
+    let mut found = 0;
+    for step in [16, 8, 4, 2, 1] {
+        let next = found | step;
+        found = select_unpredictable(begins[next][lane] <= at, next, found);
+    }
+    found
+}
+
 /// What is left of a number inside the item it fell to, in [0, 1): the integer part with fresh digits below.
 #[inline(always)]
 fn remainder(block: &mut Block, i: usize) -> f64 {
@@ -232,21 +258,16 @@ impl Block {
             }
         }
         for i in 0..BLOCK {
-            (at[i], lane[i], row[i]) = (at[i] - before[i], begun[i] - 1, 0);
+            (at[i], lane[i]) = (at[i] - before[i], begun[i] - 1);
         }
-        // All numbers a step at a time: their look-ups don't wait for each other.
-        let mut size = weights.begins.len() / GROUP_LANES;
-        while size > 1 {
-            let half = (size / 2) as u32;
-            for i in 0..count {
-                let begun = weights.begins[(row[i] + half) as usize * GROUP_LANES + lane[i] as usize] <= at[i];
-                row[i] = select_unpredictable(begun, row[i] + half, row[i]);
-            }
-            size -= size / 2;
-        }
+        let (begins, _) = weights.begins.as_chunks::<GROUP_LANES>();
+        let widths = &weights.widths[..begins.len() * GROUP_LANES];
+        let usual: Option<&Usual> = begins.try_into().ok();
         for i in 0..count {
-            let group = row[i] as usize * GROUP_LANES + lane[i] as usize;
-            (row[i], offset[i], width[i]) = (group as u32, at[i] - weights.begins[group], weights.widths[group]);
+            let (at, lane) = (at[i], lane[i] as usize % GROUP_LANES);
+            let found = usual.map_or_else(|| search(begins, lane, at), |begins| search_usual(begins, lane, at));
+            let group = found * GROUP_LANES + lane;
+            (row[i], offset[i], width[i]) = (group as u32, at - begins[found][lane], widths[group]);
         }
         if let Some(first) = weights.heavy.first() {
             for i in (0..count).filter(|&i| all[i] >= first.begin) {
@@ -260,6 +281,10 @@ impl Block {
     /// Where the cosine matters, a leaf first: without a control variate, and at the horizon.
     #[inline(always)]
     fn leaves(&mut self, sampler: &Tessellated, weights: &Weights, memo: &mut LeafMemo, count: usize) {
+        let table = match weights.purpose.subject {
+            Subject::Learned { cell, .. } => sampler.table[cell as usize].get(),
+            Subject::Normal(_) => None,
+        };
         for i in 0..count {
             let group = self.group[i];
             self.control[i] = weights.control[group as usize];
@@ -267,24 +292,30 @@ impl Block {
                 (self.leaf[i], self.total[i]) = (WHOLE_GROUP, sampler.texels.groups[group as usize].counts);
                 continue;
             }
-            let leaves = || LeafCounts::new(&sampler.triangles.leaves[group as usize], weights.aim);
-            self.leaf(sampler, memo.get(weights.stamp, group, leaves), i);
+            let counts = match table {
+                Some(table) => table.leaves(group),
+                None => memo.get(weights.stamp, group, || {
+                    LeafCounts::new(&sampler.triangles.leaves[group as usize], weights.aim)
+                }),
+            };
+            self.leaf(sampler, counts, i);
         }
     }
 
     #[inline(always)]
     fn leaf(&mut self, sampler: &Tessellated, counts: &LeafCounts, i: usize) {
-        if counts.total == 0 {
+        let total = counts.total();
+        if total == 0 {
             // The group's cone crosses the horizon, none of its leaves' cones does: it holds no light for this normal.
             (self.leaf[i], self.offset[i], self.width[i], self.total[i]) = (NO_LEAF, 0, 1, 1);
             return;
         }
-        let at = ((remainder(self, i) * f64::from(counts.total)) as u32).min(counts.total - 1);
+        let at = ((remainder(self, i) * f64::from(total)) as u32).min(total - 1);
         let (slot, offset) = counts.find(at);
         let leaf = self.group[i] * LEAVES_A_GROUP as u32 + slot as u32;
         self.offset[i] = offset;
-        self.width[i] = counts.widths[slot];
-        self.probability[i] *= f64::from(self.width[i]) / f64::from(counts.total);
+        self.width[i] = counts.width(slot);
+        self.probability[i] *= f64::from(self.width[i]) / f64::from(total);
         (self.leaf[i], self.total[i]) = (leaf, sampler.texels.leaves[leaf as usize].counts);
         if !counts.above(slot) {
             // The control variate covers what its integral does.
@@ -297,9 +328,10 @@ impl Block {
     #[inline(always)]
     fn bounds(&mut self, sampler: &Tessellated, count: usize) {
         let texels = &sampler.texels;
+        let (guide, begins) = (texels.guide(), texels.begins());
         for i in 0..count {
             (self.low[i], self.high[i]) = match self.leaf[i] {
-                WHOLE_GROUP => texels.bounds(self.group[i] as usize, self.at[i]),
+                WHOLE_GROUP => bounds(guide, self.group[i], self.at[i]),
                 NO_LEAF => (0, 0),
                 leaf => {
                     let leaf = texels.leaves[(leaf & !AT_HORIZON) as usize];
@@ -307,24 +339,27 @@ impl Block {
                     (leaf.begin, leaf.end - 1)
                 }
             };
-            texels.ask_for_bounds(self.low[i], self.high[i]);
+            prefetch(begins, self.low[i] as usize);
+            prefetch(begins, self.high[i] as usize);
         }
     }
 
     #[inline(always)]
     fn cells(&mut self, sampler: &Tessellated, aim: Aim, count: usize) {
         let texels = &sampler.texels;
-        texels.find(&mut self.low[..count], &mut self.high[..count], &self.at[..count]);
+        let begins = texels.begins();
         for i in 0..count {
-            let (begin, width) = texels.counts(self.low[i], self.group[i]);
-            (self.offset[i], self.width[i]) = (self.at[i] - begin, width);
+            let place = find(begins, [self.low[i], self.high[i]], self.at[i]);
+            let (begin, width) = texels.counts_in(begins, place, self.group[i]);
+            (self.low[i], self.offset[i], self.width[i]) = (place, self.at[i] - begin, width);
         }
+        let order = texels.order();
         for i in 0..count {
             let leaf = self.leaf[i];
             if leaf < WHOLE_GROUP && leaf & AT_HORIZON != 0 {
                 self.horizon(sampler, texels.leaves[(leaf & !AT_HORIZON) as usize], aim, i);
             }
-            prefetch(texels.order(), self.low[i] as usize);
+            prefetch(order, self.low[i] as usize);
         }
     }
 

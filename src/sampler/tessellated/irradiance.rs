@@ -1,5 +1,6 @@
 //! The groups' irradiance on a surface: how much light each sends, where it lies, and what of it is exact.
 
+use super::leaves::LeafCounts;
 use super::normals::Aim;
 use crate::sampler::preconvolution::{LeafMoments, Preconvolution, soft};
 use crate::sampler::tessellation::LEAVES_A_GROUP;
@@ -36,11 +37,25 @@ pub(super) struct Irradiance {
     pub(super) status: Vec<u8>,
     /// Of the groups that cross the horizon, if asked for.
     pub(super) parts: Vec<Part>,
+    /// The leaves of all groups that are not wholly above the horizon, if asked for.
+    leaves: Vec<LeafCounts>,
+    /// Which of them are a group's.
+    rows: Vec<u16>,
 }
 
 impl Irradiance {
     pub(super) fn bytes(&self) -> usize {
-        size_of_val(&self.importance[..]) + size_of_val(&self.status[..]) + size_of_val(&self.parts[..])
+        size_of_val(&self.importance[..])
+            + size_of_val(&self.status[..])
+            + size_of_val(&self.parts[..])
+            + size_of_val(&self.leaves[..])
+            + size_of_val(&self.rows[..])
+    }
+
+    /// The leaves of a group that is not wholly above the horizon.
+    #[inline(always)]
+    pub(super) fn leaves(&self, group: u32) -> &LeafCounts {
+        &self.leaves[usize::from(self.rows[group as usize])]
     }
 }
 
@@ -100,6 +115,14 @@ impl Kernel for Sweep<'_> {
             for g in 0..count {
                 let most = if status[g] == ABOVE { f32::MAX } else { certain };
                 importance[g] = if importance[g] < most { importance[g] } else { most };
+            }
+        }
+        if parts {
+            irradiance.rows.resize(count, 0);
+            irradiance.leaves.clear();
+            for g in (0..count).filter(|&g| status[g] != ABOVE && importance[g] > 0.0) {
+                irradiance.rows[g] = irradiance.leaves.len() as u16;
+                irradiance.leaves.push(LeafCounts::new(&triangles.leaves[g], Aim { axis: n, radius }));
             }
         }
     }

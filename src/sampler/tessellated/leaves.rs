@@ -7,23 +7,23 @@ use crate::random;
 use crate::sampler::preconvolution::{LEAF_LANES, LeafMoments};
 use crate::sampler::tessellation::LEAVES_A_GROUP;
 
-/// Total of a group's leaf counts, about.
-const LEAF_COUNTS: f32 = 1_048_576.0;
+/// Total of a group's leaf counts, at most.
+const LEAF_COUNTS: u16 = u16::MAX;
 
-/// The integer CDF of a group's leaves.
+/// The integer CDF of a group's leaves: short, for a table holds many.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LeafCounts {
-    begins: [u32; LEAVES_A_GROUP],
-    pub(super) widths: [u32; LEAVES_A_GROUP],
+    /// Counts before a leaf in its own lane.
+    begins: [u16; LEAVES_A_GROUP],
+    /// Counts before each lane, and all.
+    lanes: [u16; LEAF_LANES + 1],
     /// A bit a leaf: wholly above the horizon.
     above: u64,
-    lanes: [u32; LEAF_LANES],
-    pub(super) total: u32,
 }
 
 impl Default for LeafCounts {
     fn default() -> Self {
-        Self { begins: [0; LEAVES_A_GROUP], widths: [0; LEAVES_A_GROUP], above: 0, lanes: [0; LEAF_LANES], total: 0 }
+        Self { begins: [0; LEAVES_A_GROUP], lanes: [0; LEAF_LANES + 1], above: 0 }
     }
 }
 
@@ -42,25 +42,42 @@ impl LeafCounts {
     #[inline(always)]
     fn from_weights(e: &[f32; LEAVES_A_GROUP]) -> Self {
         let total = sum(e);
-        let scale = if total > 0.0 { (LEAF_COUNTS / total).min(f32::MAX) } else { 0.0 };
+        // One each beside.
+        let shared = f32::from(LEAF_COUNTS - LEAVES_A_GROUP as u16);
+        let scale = if total > 0.0 { (shared / total).min(f32::MAX) } else { 0.0 };
         let mut result = Self::default();
-        for (width, &e) in result.widths.iter_mut().zip(e) {
-            *width = small_whole(e * scale) + if e > 0.0 { 1 } else { 0 };
+        let mut widths = [0; LEAVES_A_GROUP];
+        for (width, &e) in widths.iter_mut().zip(e) {
+            *width = small_whole(e * scale) as u16 + if e > 0.0 { 1 } else { 0 };
         }
-        let mut lanes = [0u32; LEAF_LANES];
+        let mut lanes = [0; LEAF_LANES];
         let (begins, _) = result.begins.as_chunks_mut::<LEAF_LANES>();
-        let (widths, _) = result.widths.as_chunks::<LEAF_LANES>();
+        let (widths, _) = widths.as_chunks::<LEAF_LANES>();
         for (begins, widths) in begins.iter_mut().zip(widths) {
             *begins = lanes;
             for (lane, width) in lanes.iter_mut().zip(widths) {
                 *lane += width;
             }
         }
-        for (begin, lane) in result.lanes.iter_mut().zip(lanes) {
-            *begin = result.total;
-            result.total += lane;
+        for (lane, width) in lanes.into_iter().enumerate() {
+            result.lanes[lane + 1] = result.lanes[lane] + width;
         }
         result
+    }
+
+    /// All counts.
+    #[inline(always)]
+    pub(super) fn total(&self) -> u32 {
+        self.lanes[LEAF_LANES].into()
+    }
+
+    /// The counts of a leaf.
+    #[inline(always)]
+    pub(super) fn width(&self, slot: usize) -> u32 {
+        let lane = slot % LEAF_LANES;
+        let of_lane = self.lanes[lane + 1] - self.lanes[lane];
+        let end = self.begins.get(slot + LEAF_LANES).unwrap_or(&of_lane);
+        (end - self.begins[slot]).into()
     }
 
     /// Whether a leaf lies wholly above the horizon.
@@ -72,20 +89,21 @@ impl LeafCounts {
     /// The slot that count `at` falls to, and how far beyond its beginning.
     #[inline(always)]
     pub(super) fn find(&self, at: u32) -> (usize, u32) {
-        let lane = last_begun(&self.lanes, at) as usize;
+        let at = at as u16;
+        // Empty lanes begin where their successor does: the last that has begun holds the count.
+        let lane = self.lanes[1..LEAF_LANES].iter().map(|&begin| usize::from(begin <= at)).sum::<usize>();
         let at = at - self.lanes[lane];
         let mut row = 0;
         for next in 1..LEAVES_A_GROUP / LEAF_LANES {
-            // Empty ones share their successor's beginning: the last that has begun holds the count.
             let slot = next * LEAF_LANES + lane;
             row += usize::from(self.begins[slot] <= at);
         }
         let slot = row * LEAF_LANES + lane;
-        (slot, at - self.begins[slot])
+        (slot, (at - self.begins[slot]).into())
     }
 }
 
-/// Leaf counts made lately: points whose normals lie in one cell share the leaves of their horizon.
+/// Leaf counts made lately, of normals that no table holds: a point's directions share the leaves of its horizon.
 #[derive(Debug)]
 pub(super) struct LeafMemo(Box<[LeafEntry; 128]>);
 
@@ -107,21 +125,11 @@ impl LeafMemo {
     /// A group's counts for weights with a stamp, made by `make` unless they are at hand.
     #[inline(always)]
     pub(super) fn get(&mut self, stamp: u64, group: u32, make: impl FnOnce() -> LeafCounts) -> &LeafCounts {
-        let hash = random::mix(group.wrapping_add(((stamp ^ stamp >> 24) as u32).wrapping_mul(0x9e37_79b9)));
+        let hash = random::combine(stamp as u32, group);
         let entry = &mut self.0[hash as usize % self.0.len()];
         if (entry.stamp, entry.group) != (stamp, group) {
             *entry = LeafEntry { stamp, group, counts: make() };
         }
         &entry.counts
     }
-}
-
-/// The last lane that begins at or before `at`; empty lanes begin where their successor does.
-#[inline(always)]
-fn last_begun<const N: usize>(lanes: &[u32; N], at: u32) -> u32 {
-    let mut begun = 0;
-    for &begin in lanes {
-        begun += u32::from(begin <= at);
-    }
-    begun - 1
 }

@@ -30,6 +30,12 @@ fn next_version() -> u64 {
     LAST.fetch_add(1, Relaxed) + 1
 }
 
+/// How far a pixel's look-up is moved: across and down, in blocks, and along the distance; each in [−½, ½).
+fn jitter(seed: u32) -> [f32; 3] {
+    let jitter = random::combine(seed, 0x5ad0);
+    [jitter, random::mix(jitter), random::mix(jitter ^ 0x9e37_79b9)].map(|word| random::unit(word) - 0.5)
+}
+
 impl Memory {
     pub(super) fn new(cache: Option<ShadowCache>) -> Self {
         Self { cache, warm: false, version: next_version() }
@@ -53,11 +59,10 @@ impl Memory {
     pub(super) fn read(&self, point: &Point, last: &mut Found) -> Option<Record<'_>> {
         let cache = self.cache.as_ref().filter(|_| self.warm)?;
         let (pixel, seed) = (point.pixel, point.numbers.seed);
-        let jitter = random::combine(seed, 0x5ad0);
-        let [a, b, c] = [jitter, random::mix(jitter), random::mix(jitter ^ 0x9e37_79b9)].map(random::unit);
-        let key = ShadowCache::key(point.ng, point.distance, c - 0.5);
+        let [a, b, c] = jitter(seed);
+        let key = ShadowCache::key(point.ng, point.distance, c);
         if (last.version, last.seed, last.pixel, last.key) != (self.version, seed, pixel, key) {
-            let slot = cache.find(pixel, key, [a - 0.5, b - 0.5]);
+            let slot = cache.find(pixel, key, [a, b]);
             *last = Found { version: self.version, seed, pixel, key, slot };
         }
         last.slot.map(|slot| Record { slot, visibility: cache.visibility(slot as usize) })
@@ -119,6 +124,12 @@ impl Memory {
             cache.tally(draws.lookups, draws.found);
             (draws.lookups, draws.found) = (0, 0);
         }
+    }
+
+    /// The block that a pixel's look-up falls to.
+    pub(super) fn place(&self, pixel: [u32; 2], seed: u32) -> u32 {
+        let [a, b, _] = jitter(seed);
+        self.cache.as_ref().map_or(0, |cache| cache.place(pixel, [a, b]))
     }
 
     pub(super) fn tile_multiple(&self) -> u32 {

@@ -236,7 +236,7 @@ mod tests {
                     let point = Point { pixel: [0, 0], distance: 1.0, ng: ns, ns, wo: ns, bsdf, numbers };
                     // One direction a point: independent ones, as the test wants them.
                     sampler.draw(&point, 1, &mut draws);
-                    drawn[deepest(&sampler.preconvolved.triangles, draws.dir[0].as_dvec3())] += 1.0;
+                    drawn[deepest(&sampler.preconvolved.triangles, draws.dir.get(0).as_dvec3())] += 1.0;
                 }
                 let counts = &draws.prepared.counts;
                 let (mut statistic, mut freedom, mut rest) = (0.0, -1.0, (0.0, 0.0));

@@ -4,7 +4,6 @@ use super::super::cells::{DomeCells, Place};
 use super::super::preconvolution::Preconvolution;
 use super::super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
 use super::pages::Row;
-use crate::simd::prefetch;
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 use std::hint::select_unpredictable;
@@ -102,45 +101,27 @@ impl Texels {
         Self { order, begins, groups, leaves, guide }
     }
 
-    /// First and last place that a group's count `at` may fall to.
+    /// Which cell holds a bucket's first count, for [`bounds`].
     #[inline(always)]
-    pub(super) fn bounds(&self, group: usize, at: u32) -> (u32, u32) {
-        let bucket = group * GUIDES + (at >> BUCKET) as usize;
-        let guide = self.guide.get();
-        (guide[bucket], guide[bucket + 1])
+    pub(super) fn guide(&self) -> &[u32] {
+        self.guide.get()
     }
 
-    /// Asks for what [`Self::find`] will read between two places.
+    /// Where each cell's counts begin in its group's CDF.
     #[inline(always)]
-    pub(super) fn ask_for_bounds(&self, low: u32, high: u32) {
-        prefetch(self.begins.get(), low as usize);
-        prefetch(self.begins.get(), high as usize);
-    }
-
-    /// Narrows `low..=high` down to the place that count `at` of the group falls to: `low`. All of them a step at a
-    /// time: their look-ups don't wait for each other.
-    #[inline(always)]
-    pub(super) fn find(&self, low: &mut [u32], high: &mut [u32], at: &[u32]) {
-        let begins = self.begins.get();
-        for ((low, high), &at) in low.iter_mut().zip(&mut *high).zip(at) {
-            while *high - *low >= 16 {
-                let middle = *low + (*high - *low).div_ceil(2);
-                if begins[middle as usize] <= at { *low = middle } else { *high = middle - 1 }
-            }
-        }
-        for step in [8, 4, 2, 1] {
-            for ((low, &mut high), &at) in low.iter_mut().zip(&mut *high).zip(at) {
-                // No branch: which way it goes is a coin's toss.
-                let next = (*low + step).min(high);
-                *low = select_unpredictable(begins[next as usize] <= at, next, *low);
-            }
-        }
+    pub(super) fn begins(&self) -> &[u32] {
+        self.begins.get()
     }
 
     /// Where a cell's counts begin in its group's, and how many they are.
     #[inline(always)]
     pub(super) fn counts(&self, place: u32, group: u32) -> (u32, u32) {
-        let begins = self.begins.get();
+        self.counts_in(self.begins(), place, group)
+    }
+
+    /// The same, from [`Self::begins`].
+    #[inline(always)]
+    pub(super) fn counts_in(&self, begins: &[u32], place: u32, group: u32) -> (u32, u32) {
         let (begin, next) = (begins[place as usize], begins[place as usize + 1]);
         // The next group's begin at 0 again.
         let end = if next > begin { next } else { self.groups[group as usize].counts };
@@ -160,6 +141,29 @@ impl Texels {
             + size_of_val(&self.leaves[..])
             + size_of_val(self.guide.get())
     }
+}
+
+/// First and last place that a group's count `at` may fall to.
+#[inline(always)]
+pub(super) fn bounds(guide: &[u32], group: u32, at: u32) -> (u32, u32) {
+    let bucket = group as usize * GUIDES + (at >> BUCKET) as usize;
+    let [low, high] = guide[bucket..bucket + 2] else { unreachable!("a slice of two") };
+    (low, high)
+}
+
+/// The place between two that count `at` of their group falls to.
+#[inline(always)]
+pub(super) fn find(begins: &[u32], [mut low, mut high]: [u32; 2], at: u32) -> u32 {
+    while high - low >= 16 {
+        let middle = low + (high - low).div_ceil(2);
+        if begins[middle as usize] <= at { low = middle } else { high = middle - 1 }
+    }
+    for step in [8, 4, 2, 1] {
+        // No branch: which way it goes is a coin's toss.
+        let next = (low + step).min(high);
+        low = select_unpredictable(begins[next as usize] <= at, next, low);
+    }
+    low
 }
 
 fn span(members: &Range<usize>) -> Span {

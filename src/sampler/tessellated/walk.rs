@@ -12,6 +12,7 @@ use super::weights::{Purpose, Weights};
 use crate::sampler::shadow_cache::NO_TARGET;
 use crate::sampler::{DomeSampler, Draws, Numbers, Point, Prepared};
 use crate::simd::dispatch;
+use crate::vectors::Vectors;
 use glam::Vec3;
 
 /// What directions are asked for.
@@ -108,7 +109,7 @@ impl Tessellated {
         self.descend((weights, leaves), &asked, begun.stage, [&mut first[slot], rest], |block| {
             lists.add(block);
             if record.is_some() {
-                control.extend((0..block.count).map(|i| vector(&block.radiance, i) * block.factor[i]));
+                control.extend_from_slice(&block.factor[..block.count]);
             }
         });
     }
@@ -159,8 +160,8 @@ impl Tessellated {
 
 /// Where directions are written.
 struct Lists<'a> {
-    dir: &'a mut Vec<Vec3>,
-    radiance: &'a mut Vec<Vec3>,
+    dir: &'a mut Vectors,
+    radiance: &'a mut Vectors,
     pdf: &'a mut Vec<f32>,
     targets: &'a mut Vec<u32>,
     target: u32,
@@ -171,8 +172,8 @@ impl Lists<'_> {
     #[inline]
     fn add(&mut self, block: &Block) {
         let count = block.count;
-        self.dir.extend((0..count).map(|i| vector(&block.dir, i)));
-        self.radiance.extend((0..count).map(|i| vector(&block.radiance, i)));
+        self.dir.extend(block.dir.each_ref().map(|row| &row[..count]));
+        self.radiance.extend(block.radiance.each_ref().map(|row| &row[..count]));
         self.pdf.extend_from_slice(&block.pdf[..count]);
         if self.target != NO_TARGET {
             self.targets.extend(block.group[..count].iter().map(|group| self.target + group));
@@ -180,9 +181,4 @@ impl Lists<'_> {
             self.targets.resize(self.targets.len() + count, NO_TARGET);
         }
     }
-}
-
-#[inline(always)]
-fn vector(rows: &[[f32; BLOCK]; 3], i: usize) -> Vec3 {
-    Vec3::new(rows[0][i], rows[1][i], rows[2][i])
 }

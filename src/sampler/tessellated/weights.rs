@@ -66,7 +66,7 @@ pub struct Weights {
     pub(super) purpose: Purpose,
     /// Which normals they serve.
     pub(super) aim: Aim,
-    /// Whose leaves are the same: of one cell of normals, or of these weights alone; 0 for none.
+    /// Which making of weights these are: what else was made for them bears it, too; 0 for none.
     pub(super) stamp: u64,
     /// The irradiance for a normal of its own.
     own: Irradiance,
@@ -336,10 +336,7 @@ impl Memo {
             make(weights);
             self.made += 1;
             weights.purpose = *purpose;
-            weights.stamp = match purpose.subject {
-                Subject::Learned { cell, .. } => 1 << 63 | purpose.version << 24 | u64::from(cell),
-                Subject::Normal(_) => self.made,
-            };
+            weights.stamp = self.made;
         }
         weights
     }
@@ -411,17 +408,19 @@ mod tests {
         }
     }
 
-    /// What is kept by the stamp (a horizon's leaves) depends on the cell alone.
+    /// What is kept by the stamp (a horizon's leaves) must not outlive the weights.
     #[test]
-    fn weights_share_a_stamp_only_where_they_share_a_cell() {
+    fn weights_have_a_stamp_of_their_own_for_as_long_as_they_are_kept() {
         let mut memo = Memo::default();
-        let mut stamp = |version, subject| memo.get(&Purpose { version, rays: 16, subject }, |_| ()).stamp;
-        let learned = |cell, record| Subject::Learned { cell, record };
-        let first = stamp(1, learned(7, 3));
-        assert_eq!(stamp(1, learned(7, 4)), first);
-        for other in [stamp(1, learned(8, 3)), stamp(2, learned(7, 3)), stamp(1, Subject::Normal(Vec3::X))] {
-            assert_ne!(other, first);
+        let mut stamp = |version, normal| {
+            let purpose = Purpose { version, rays: 16, subject: Subject::Normal(normal) };
+            memo.get(&purpose, |_| ()).stamp
+        };
+        let first = stamp(1, Vec3::X);
+        assert_eq!(stamp(1, Vec3::X), first);
+        for (version, normal) in [(1, Vec3::Y), (2, Vec3::X), (1, Vec3::Z)] {
+            assert_ne!(stamp(version, normal), first);
         }
-        assert_ne!(stamp(1, Subject::Normal(Vec3::Y)), stamp(1, Subject::Normal(Vec3::Z)));
+        assert_ne!(first, 0);
     }
 }

@@ -199,8 +199,8 @@ pub(crate) fn chi_square(
     for batch in 0..total / BATCH {
         let point = point(n, random::hash(&[seed, batch]));
         sampler.draw(&point, BATCH, &mut draws);
-        for ((dir, pdf), radiance) in draws.dir.iter().zip(&draws.pdf).zip(&draws.radiance) {
-            if *dir == -n && *radiance == Vec3::ZERO {
+        for ((dir, pdf), radiance) in draws.dir.iter().zip(&draws.pdf).zip(draws.radiance.iter()) {
+            if dir == -n && radiance == Vec3::ZERO {
                 drawn += 1; // The draw that found no light: nowhere, but drawn.
                 continue;
             }
@@ -210,8 +210,8 @@ pub(crate) fn chi_square(
             if (dir.length() - 1.0).abs() > 1e-5 {
                 return Err(format!("drew {dir}, not of unit length"));
             }
-            let near = texels_near(grid, *dir);
-            if near.iter().all(|texel| sampler.pdf(&point, &draws, *dir, *texel) <= 0.0) {
+            let near = texels_near(grid, dir);
+            if near.iter().all(|texel| sampler.pdf(&point, &draws, dir, *texel) <= 0.0) {
                 return Err(format!("drew {dir}, where the density is 0"));
             }
             // The texel first, then the part of it: a round trip in one go could leave the texel.

@@ -1,0 +1,203 @@
+//! Lambertian points, which most are: what each direction adds, many at a time.
+
+use super::Queue;
+use crate::accel::Ray;
+use crate::sampler::Draws;
+use crate::simd::{Kernel, dispatch};
+use glam::Vec3;
+
+/// A direction is traced.
+const TRACED: u32 = 0;
+/// It is below a horizon of the surface's: no ray, but it counts.
+const HIDDEN: u32 = 1;
+/// No light comes from there.
+const BLACK: u32 = 2;
+
+/// A point that reflects all light alike.
+pub(super) struct Lambert {
+    /// Where its rays begin.
+    pub(super) origin: Vec3,
+    /// Unit geometric and shading normals on the viewer's side.
+    pub(super) ng: Vec3,
+    pub(super) ns: Vec3,
+    /// Reflectance/π.
+    pub(super) k: Vec3,
+}
+
+impl Lambert {
+    /// Queues all directions drawn for the point; returns the control variate's mean over them, W·m⁻² a channel.
+    #[inline]
+    pub(super) fn queue(&self, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
+        let (count, first) = (draws.dir.len(), queue.rays.len());
+        draws.fate.resize(count, TRACED);
+        let Draws { dir, radiance, pdf, control, fate, target, .. } = draws;
+        let weigh = Weigh {
+            point: self,
+            share: self.k / count as f32,
+            dir: dir.rows(),
+            radiance: radiance.rows(),
+            pdf,
+            control,
+            fate,
+            contributions: queue.contributions.resize(first + count, first),
+        };
+        let (all_traced, control) = dispatch(weigh);
+        if all_traced {
+            queue.rays.extend((0..count).map(|i| Ray::new(self.origin, dir.get(i))));
+            queue.targets.extend_from_slice(target);
+        } else {
+            for (i, &fate) in fate.iter().enumerate() {
+                let target = target.get(i);
+                if fate == TRACED {
+                    queue.contributions.copy(first + i, queue.rays.len());
+                    queue.rays.push(Ray::new(self.origin, dir.get(i)));
+                    queue.targets.extend(target);
+                } else if fate == HIDDEN
+                    && let Some(&target) = target
+                {
+                    queue.hide(target);
+                }
+            }
+            queue.contributions.resize(queue.rays.len(), queue.rays.len());
+        }
+        queue.add((queue.rays.len() - first) as u32);
+        control / count as f32
+    }
+}
+
+/// Directions treated together.
+const LANES: usize = 16;
+
+/// What each direction adds, and whether it is traced; whether all are, and the control variate's sum.
+struct Weigh<'a> {
+    point: &'a Lambert,
+    /// Reflectance/π of one direction's share.
+    share: Vec3,
+    dir: [&'a [f32]; 3],
+    radiance: [&'a [f32]; 3],
+    pdf: &'a [f32],
+    /// Empty where there is none.
+    control: &'a [f32],
+    fate: &'a mut [u32],
+    contributions: [&'a mut [f32]; 3],
+}
+
+impl Kernel for Weigh<'_> {
+    type Output = (bool, Vec3);
+
+    #[inline(always)]
+    fn run(self) -> (bool, Vec3) {
+        let Self { point: &Lambert { ng, ns, .. }, share, dir, radiance, pdf, control, fate, mut contributions } = self;
+        let count = fate.len();
+        let (mut any, mut sums) = ([TRACED; LANES], [[0.0; LANES]; 3]);
+        // In arrays of its own the compiler sees that nothing it writes is what it reads.
+        for at in (0..count).step_by(LANES) {
+            let (x, y, z) = (chunk(dir[0], at), chunk(dir[1], at), chunk(dir[2], at));
+            let (r, g, b) = (chunk(radiance[0], at), chunk(radiance[1], at), chunk(radiance[2], at));
+            let pdf = chunk(pdf, at);
+            let (mut weight, mut fates) = ([0.0; LANES], [TRACED; LANES]);
+            for i in 0..LANES {
+                let cosine = x[i] * ns.x + y[i] * ns.y + z[i] * ns.z;
+                let above = x[i] * ng.x + y[i] * ng.y + z[i] * ng.z;
+                // What is no number is not hidden: it is traced, found out and counted.
+                let hidden = if (cosine <= 0.0) | (above <= 0.0) { HIDDEN } else { TRACED };
+                fates[i] = if (r[i] == 0.0) & (g[i] == 0.0) & (b[i] == 0.0) { BLACK } else { hidden };
+                weight[i] = cosine / pdf[i];
+            }
+            let left = (count - at).min(LANES);
+            for ((row, light), share) in contributions.iter_mut().zip([&r, &g, &b]).zip(share.to_array()) {
+                let mut adds = [0.0; LANES];
+                for i in 0..LANES {
+                    adds[i] = light[i] * (share * weight[i]);
+                }
+                store(&mut row[at..at + left], &adds);
+            }
+            store(&mut fate[at..at + left], &fates);
+            for (any, fate) in any.iter_mut().zip(&fates[..left]) {
+                *any |= fate;
+            }
+            if !control.is_empty() {
+                let control = chunk(control, at);
+                for i in 0..LANES {
+                    weight[i] = control[i] / pdf[i];
+                }
+                for (sums, light) in sums.iter_mut().zip([&r, &g, &b]) {
+                    for i in 0..left {
+                        sums[i] += light[i] * weight[i];
+                    }
+                }
+            }
+        }
+        let [r, g, b] = sums;
+        let control = Vec3::new(r.iter().sum(), g.iter().sum(), b.iter().sum());
+        (any.iter().all(|&fate| fate == TRACED), control)
+    }
+}
+
+/// The numbers from `at` on; nothing beyond the last.
+#[inline(always)]
+fn chunk(row: &[f32], at: usize) -> [f32; LANES] {
+    let mut chunk = [0.0; LANES];
+    match row.get(at..at + LANES) {
+        Some(whole) => chunk.copy_from_slice(whole),
+        None => chunk.iter_mut().zip(&row[at..]).for_each(|(to, from)| *to = *from),
+    }
+    chunk
+}
+
+/// Writes what there is room for.
+#[inline(always)]
+fn store<T: Copy>(row: &mut [T], chunk: &[T; LANES]) {
+    match <&mut [T; LANES]>::try_from(&mut *row) {
+        Ok(whole) => *whole = *chunk,
+        Err(_) => row.iter_mut().zip(chunk).for_each(|(to, from)| *to = *from),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random;
+
+    /// Against the same one direction after another: whole vectors and what is left of them, all traced and not.
+    #[test]
+    fn many_at_a_time_are_queued_like_one_by_one() {
+        let unit = |i: u32, purpose: u32| random::unit(random::hash(&[i, purpose]));
+        let (ns, ng) = (Vec3::Y, Vec3::new(0.6, 0.8, 0.0));
+        let point = Lambert { origin: Vec3::splat(2.0), ng, ns, k: Vec3::new(0.1, 0.2, 0.3) };
+        for (count, lowest) in [(1, 0.9), (16, 0.9), (16, -1.0), (21, -1.0), (53, 0.7)] {
+            let (mut draws, mut queue) = (Draws::default(), Queue { sample: 7, ..Queue::default() });
+            // Something stands before it in the queue.
+            queue.push(Ray::new(Vec3::ZERO, Vec3::X), Vec3::ONE);
+            queue.targets.push(9);
+            let (mut rays, mut hidden, mut control) = (Vec::new(), Vec::new(), Vec3::ZERO);
+            for i in 0..count {
+                let up = lowest + (1.0 - lowest) * unit(i, 0);
+                let dir = Vec3::new((1.0 - up * up).sqrt() * if i % 2 == 0 { 1.0 } else { -1.0 }, up, 0.0);
+                let black = lowest < 0.0 && i % 8 == 3;
+                let radiance = if black { Vec3::ZERO } else { Vec3::new(unit(i, 1), unit(i, 2), unit(i, 3)) };
+                let (pdf, of_control) = (0.1 + unit(i, 4), unit(i, 5));
+                draws.push(dir, radiance, pdf);
+                draws.control.push(of_control);
+                draws.target.push(100 + i);
+                control += radiance * (of_control / pdf) / count as f32;
+                if dir.dot(ns) <= 0.0 || dir.dot(ng) <= 0.0 {
+                    hidden.extend((!black).then_some((100 + i, 1 + rays.len() as u32)));
+                } else if !black {
+                    rays.push((dir, radiance * point.k / count as f32 * (dir.dot(ns) / pdf), 100 + i));
+                }
+            }
+            assert_eq!(lowest < 0.0, rays.len() < count as usize, "both kinds are tried");
+            let mean = point.queue(&mut draws, &mut queue);
+            assert!((mean - control).abs().max_element() < 1e-6, "{count}: {mean}, not {control}");
+            assert_eq!((queue.rays.len(), queue.contributions.len()), (1 + rays.len(), 1 + rays.len()));
+            assert_eq!(queue.samples, [(7, 1 + rays.len() as u32)]);
+            assert_eq!(queue.hidden, hidden);
+            for (i, (dir, adds, target)) in rays.into_iter().enumerate() {
+                assert_eq!((queue.rays[1 + i], queue.targets[1 + i]), (Ray::new(point.origin, dir), target));
+                let off = (queue.contributions.get(1 + i) - adds).abs().max_element();
+                assert!(off <= 1e-6 * adds.max_element(), "{count}, ray {i}: off by {off}");
+            }
+        }
+    }
+}
