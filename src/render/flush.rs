@@ -1,0 +1,75 @@
+//! A queue of shadow rays is traced: what arrives, and what the sampler learns from it.
+
+use super::{Counts, Scratch};
+use crate::dome::Dome;
+use crate::integrator::{World, visibility};
+use crate::simd::{Kernel, dispatch};
+use glam::Vec3;
+
+/// Traces the queue and adds what arrives to its samples, each of which stands for `views`.
+pub(super) fn flush(world: &World<'_>, views: f32, s: &mut Scratch, counts: &mut Counts) {
+    let queue = &mut s.queue;
+    counts.shadow_rays += queue.rays.len() as u64;
+    visibility::occluded(world.scene, world.accel, &queue.rays, &mut s.occluded, &mut s.visibility);
+    // Layers first: what is hidden is forgotten below.
+    let mut first = 0;
+    for &(sample, rays) in &queue.samples {
+        let Some(aovs) = &mut s.samples[sample as usize].aovs else { break };
+        for i in first..first + rays as usize {
+            let light = Dome::weight(queue.contributions.get(i).to_array());
+            aovs.light[1] += light;
+            aovs.light[0] += if s.occluded[i] == 0 { light } else { 0.0 };
+        }
+        first += rays as usize;
+    }
+    let contributions = queue.contributions.resize(queue.rays.len(), 0);
+    counts.max_weight = counts.max_weight.max(dispatch(Arrive { contributions, occluded: &s.occluded }));
+    let [r, g, b] = queue.contributions.rows();
+    let mut first = 0;
+    for &(sample, rays) in &queue.samples {
+        let of_sample = first..first + rays as usize;
+        let arrived = [r, g, b].map(|row| row[of_sample.clone()].iter().sum::<f32>());
+        s.samples[sample as usize].radiance += views * Vec3::from(arrived);
+        first = of_sample.end;
+    }
+    queue.in_order(&mut s.occluded);
+    world.sampler.observe(&queue.targets, &s.occluded);
+    queue.clear();
+}
+
+/// Contributions treated together.
+const LANES: usize = 16;
+
+/// Takes away what does not arrive; the largest component that does.
+struct Arrive<'a> {
+    contributions: [&'a mut [f32]; 3],
+    occluded: &'a [u8],
+}
+
+impl Kernel for Arrive<'_> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn run(self) -> f32 {
+        let Self { contributions, occluded } = self;
+        // No branch: whether light arrives is a coin's toss.
+        let arrives = |contribution: f32, occluded: u8| if occluded == 0 { contribution } else { 0.0 };
+        let mut most = [0.0f32; LANES];
+        for row in contributions {
+            let (chunks, rest) = row.as_chunks_mut::<LANES>();
+            let (occluded, occluded_rest) = occluded.as_chunks::<LANES>();
+            for (chunk, occluded) in chunks.iter_mut().zip(occluded) {
+                for i in 0..LANES {
+                    let arrives = arrives(chunk[i], occluded[i]);
+                    chunk[i] = arrives;
+                    most[i] = if arrives > most[i] { arrives } else { most[i] };
+                }
+            }
+            for (contribution, &occluded) in rest.iter_mut().zip(occluded_rest) {
+                *contribution = arrives(*contribution, occluded);
+                most[0] = most[0].max(*contribution);
+            }
+        }
+        most.into_iter().fold(0.0, f32::max)
+    }
+}
