@@ -273,21 +273,19 @@ impl Render<'_> {
         let mut counts = Counts::default();
         let views = self.views(world.sampler);
         let each = schedule::replicate(&self.settings);
-        // Block by block of what a sampler keeps together, all samples of a pixel together: neighbours share what is prepared.
-        // What is counted in a block is counted in an order of its pixels that does not depend on the tile.
+        // Pixels that look up the same place together, all samples of a pixel together: they share what is prepared. The order
+        // of a block's pixels, in which the sampler counts, does not depend on the tile: the sort is stable.
         s.cameras.clear();
         s.pixels.clear();
         let seed = |[column, row]: [u32; 2], of, purpose| random::hash(&[self.settings.seed, column, row, of, purpose]);
-        for [x, y, width, height] in blocks([x, y, width, height], world.sampler.tile_multiple()) {
-            let pixels = (y..y + height).flat_map(|row| (x..x + width).map(move |column| [column, row]));
-            s.pixels.extend(pixels.filter(|&[column, row]| pass.lattice.takes(column, row)).map(|pixel| {
-                let numbers = seed(pixel, pass.sequence, 1);
-                (world.sampler.place(pixel, numbers), pixel, numbers)
-            }));
-        }
+        let pixels = (y..y + height).flat_map(|row| (x..x + width).map(move |column| [column, row]));
+        s.pixels.extend(pixels.filter(|&[column, row]| pass.lattice.takes(column, row)).map(|pixel| {
+            let numbers = seed(pixel, pass.sequence, 1);
+            (world.sampler.place(pixel, numbers), pixel, numbers)
+        }));
         s.pixels.sort_by_key(|&(place, ..)| place);
-        for at in 0..s.pixels.len() {
-            let (_, pixel, numbers) = s.pixels[at];
+        for i in 0..s.pixels.len() {
+            let (_, pixel, numbers) = s.pixels[i];
             let places = seed(pixel, pass.replicate, 0);
             for sample in pass.first..pass.first + pass.count {
                 let numbers = Numbers { seed: numbers, sample };

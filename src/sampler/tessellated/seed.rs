@@ -171,6 +171,10 @@ impl DomeSampler for Seed {
         self.memory.cache().is_some()
     }
 
+    fn place(&self, pixel: [u32; 2], seed: u32) -> u32 {
+        self.memory.place(pixel, seed)
+    }
+
     fn tile_multiple(&self) -> u32 {
         self.memory.tile_multiple()
     }
