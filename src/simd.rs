@@ -37,10 +37,10 @@ pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
 #[inline(always)]
 pub fn prefetch<T>(row: &[T], i: usize) {
     #[cfg(target_arch = "x86_64")]
-    if let Some(entry) = row.get(i) {
+    {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        // SAFETY: a prefetch is a hint: it reads nothing, faults on nothing, and every x86-64 has it.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(entry).cast()) }
+        // SAFETY: a prefetch is a hint: it reads nothing, faults on nothing, wherever it points, and every x86-64 has it.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(row.as_ptr().wrapping_add(i).cast()) }
     }
     #[cfg(not(target_arch = "x86_64"))]
     let _ = (row, i);

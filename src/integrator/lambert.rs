@@ -43,7 +43,7 @@ impl Lambert {
         };
         let (all_traced, control) = dispatch(weigh);
         if all_traced {
-            queue.rays.extend((0..count).map(|i| Ray::new(self.origin, dir.get(i))));
+            queue.rays.extend(dir.iter().map(|dir| Ray::new(self.origin, dir)));
             queue.targets.extend_from_slice(target);
         } else {
             for (i, &fate) in fate.iter().enumerate() {

@@ -43,6 +43,7 @@ const LANES: usize = 16;
 /// Takes away what does not arrive; the largest component that does.
 struct Arrive<'a> {
     contributions: [&'a mut [f32]; 3],
+    /// 1 or 0.
     occluded: &'a [u8],
 }
 
@@ -53,20 +54,28 @@ impl Kernel for Arrive<'_> {
     fn run(self) -> f32 {
         let Self { contributions, occluded } = self;
         // No branch: whether light arrives is a coin's toss.
-        let arrives = |contribution: f32, occluded: u8| if occluded == 0 { contribution } else { 0.0 };
+        let arrives = |contribution: f32, mask: u32| f32::from_bits(contribution.to_bits() & mask);
+        let mask = |occluded: u8| u32::from(occluded).wrapping_sub(1);
         let mut most = [0.0f32; LANES];
-        for row in contributions {
-            let (chunks, rest) = row.as_chunks_mut::<LANES>();
-            let (occluded, occluded_rest) = occluded.as_chunks::<LANES>();
-            for (chunk, occluded) in chunks.iter_mut().zip(occluded) {
+        let (chunks, rest) = occluded.as_chunks::<LANES>();
+        let mut of_rows = contributions.map(|row| row.as_chunks_mut::<LANES>());
+        for (at, occluded) in chunks.iter().enumerate() {
+            let mut masks = [0; LANES];
+            for i in 0..LANES {
+                masks[i] = mask(occluded[i]);
+            }
+            for (row, _) in &mut of_rows {
+                let chunk = &mut row[at];
                 for i in 0..LANES {
-                    let arrives = arrives(chunk[i], occluded[i]);
+                    let arrives = arrives(chunk[i], masks[i]);
                     chunk[i] = arrives;
                     most[i] = if arrives > most[i] { arrives } else { most[i] };
                 }
             }
-            for (contribution, &occluded) in rest.iter_mut().zip(occluded_rest) {
-                *contribution = arrives(*contribution, occluded);
+        }
+        for (_, row) in of_rows {
+            for (contribution, &occluded) in row.iter_mut().zip(rest) {
+                *contribution = arrives(*contribution, mask(occluded));
                 most[0] = most[0].max(*contribution);
             }
         }

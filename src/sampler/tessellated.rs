@@ -58,7 +58,7 @@ use seed::Seed;
 use std::io::{self, Read, Write};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
-use texels::Texels;
+use texels::{COUNTS, Texels};
 use walk::Asked;
 use weights::{Purpose, Subject, Weigh, WeighLearned};
 
@@ -253,15 +253,15 @@ impl DomeSampler for Tessellated {
         };
         let (group, leaf_of_group) = (slot / LEAVES_A_GROUP, slot % LEAVES_A_GROUP);
         let share = |width: u32, of: u32| if of == 0 { 0.0 } else { f64::from(width) / f64::from(of) };
-        let width = self.texels.counts(place, group as u32).1;
+        let width = self.texels.counts(place).1;
         // As `draw` chose them.
         let in_group = if weights.goes_by_energy(group) {
-            share(width, self.texels.groups[group].counts)
+            share(width, COUNTS)
         } else {
             let counts = LeafCounts::new(&self.triangles.leaves[group], weights.aim);
             let leaf = self.texels.leaves[slot];
             let in_leaf = if !counts.above(leaf_of_group) && leaf.end - leaf.begin <= MOST_AT_HORIZON {
-                let width = |place| self.horizon_width(place, group as u32, weights.aim);
+                let width = |place| self.horizon_width(place, weights.aim);
                 share(width(place), (leaf.begin..leaf.end).map(width).sum())
             } else {
                 share(width, leaf.counts)
@@ -302,7 +302,7 @@ impl DomeSampler for Tessellated {
             Some(&(place, slot)) if place != u32::MAX && weights.total > 0 => {
                 let group = slot as usize / LEAVES_A_GROUP;
                 let share = |width: u32, of: u32| f64::from(width) / f64::from(of);
-                let in_group = share(self.texels.counts(place, group as u32).1, self.texels.groups[group].counts);
+                let in_group = share(self.texels.counts(place).1, COUNTS);
                 (share(weights.widths[group], weights.total) * in_group / self.cells.solid_angle(cell)) as f32
             }
             _ => 0.0,

@@ -6,7 +6,7 @@
 use super::Tessellated;
 use super::leaves::{LeafCounts, LeafMemo};
 use super::normals::Aim;
-use super::texels::{Lit, Span, bounds, find};
+use super::texels::{COUNTS, Lit, Span, bucket, counts, find};
 use super::weights::{Subject, Weights};
 use crate::random;
 use crate::sampler::Numbers;
@@ -33,7 +33,7 @@ pub(super) struct Block {
     offset: [u32; BLOCK],
     width: [u32; BLOCK],
     /// Product of width/total so far.
-    probability: [f64; BLOCK],
+    probability: [f32; BLOCK],
     /// Counts of the next level.
     total: [u32; BLOCK],
     /// The slot of the group.
@@ -121,15 +121,15 @@ impl Kernel for Choose<'_> {
             block.fresh[i] = fresh;
         }
         block.groups(weights, count);
-        let total = f64::from(weights.total);
+        let total = weights.total as f32;
         for i in 0..BLOCK {
-            block.probability[i] = f64::from(block.width[i]) / total;
+            block.probability[i] = block.width[i] as f32 / total;
+            // Most groups are drawn from by energy alone.
+            block.at[i] = whole(remainder(block, i) * f64::from(COUNTS)).min(COUNTS - 1);
+            block.low[i] = bucket(block.group[i], block.at[i]);
         }
-        block.leaves(sampler, weights, leaves, count);
-        for i in 0..BLOCK {
-            block.at[i] = whole(remainder(block, i) * f64::from(block.total[i])).min(block.total[i].wrapping_sub(1));
-        }
-        block.bounds(sampler, count);
+        (block.leaf, block.total) = ([WHOLE_GROUP; BLOCK], [COUNTS; BLOCK]);
+        block.bounds(sampler, weights, leaves, count);
     }
 }
 
@@ -167,7 +167,7 @@ impl Kernel for Aimed<'_> {
         block.sides(sampler, count);
         let half_azimuth = sampler.cells.half_azimuth;
         for i in 0..BLOCK {
-            let probability = block.probability[i] as f32 * (block.width[i] as f32 / block.total[i] as f32);
+            let probability = block.probability[i] * (block.width[i] as f32 / block.total[i] as f32);
             block.pdf[i] = probability / block.pdf[i];
         }
         for i in 0..BLOCK {
@@ -278,70 +278,61 @@ impl Block {
         }
     }
 
-    /// Where the cosine matters, a leaf first: without a control variate, and at the horizon.
+    /// First and last cell that each may be. Where the cosine matters, by a leaf: without a control variate, and at the
+    /// horizon.
     #[inline(always)]
-    fn leaves(&mut self, sampler: &Tessellated, weights: &Weights, memo: &mut LeafMemo, count: usize) {
+    fn bounds(&mut self, sampler: &Tessellated, weights: &Weights, memo: &mut LeafMemo, count: usize) {
         let table = match weights.purpose.subject {
             Subject::Learned { cell, .. } => sampler.table[cell as usize].get(),
             Subject::Normal(_) => None,
         };
+        let (guide, begins) = (sampler.texels.guide(), sampler.texels.begins());
         for i in 0..count {
-            let group = self.group[i];
-            self.control[i] = weights.control[group as usize];
-            if weights.goes_by_energy(group as usize) {
-                (self.leaf[i], self.total[i]) = (WHOLE_GROUP, sampler.texels.groups[group as usize].counts);
-                continue;
-            }
-            let counts = match table {
-                Some(table) => table.leaves(group),
-                None => memo.get(weights.stamp, group, || {
-                    LeafCounts::new(&sampler.triangles.leaves[group as usize], weights.aim)
-                }),
+            let (group, bucket) = (self.group[i] as usize, self.low[i] as usize);
+            self.control[i] = weights.control[group];
+            let (low, high) = if weights.goes_by_energy(group) {
+                (guide[bucket], guide[bucket + 1])
+            } else {
+                let group = group as u32;
+                let counts = match table {
+                    Some(table) => table.leaves(group),
+                    None => memo.get(weights.stamp, group, || {
+                        LeafCounts::new(&sampler.triangles.leaves[group as usize], weights.aim)
+                    }),
+                };
+                self.leaf(sampler, counts, i)
             };
-            self.leaf(sampler, counts, i);
+            prefetch(begins, low as usize);
+            prefetch(begins, high as usize);
+            (self.low[i], self.high[i]) = (low, high);
         }
     }
 
+    /// The leaf that a number falls to, the number's position in it, and its first and last cell.
     #[inline(always)]
-    fn leaf(&mut self, sampler: &Tessellated, counts: &LeafCounts, i: usize) {
+    fn leaf(&mut self, sampler: &Tessellated, counts: &LeafCounts, i: usize) -> (u32, u32) {
         let total = counts.total();
         if total == 0 {
             // The group's cone crosses the horizon, none of its leaves' cones does: it holds no light for this normal.
-            (self.leaf[i], self.offset[i], self.width[i], self.total[i]) = (NO_LEAF, 0, 1, 1);
-            return;
+            (self.leaf[i], self.total[i], self.at[i]) = (NO_LEAF, 1, 0);
+            return (0, 0);
         }
-        let at = ((remainder(self, i) * f64::from(total)) as u32).min(total - 1);
-        let (slot, offset) = counts.find(at);
-        let leaf = self.group[i] * LEAVES_A_GROUP as u32 + slot as u32;
-        self.offset[i] = offset;
-        self.width[i] = counts.width(slot);
-        self.probability[i] *= f64::from(self.width[i]) / f64::from(total);
-        (self.leaf[i], self.total[i]) = (leaf, sampler.texels.leaves[leaf as usize].counts);
+        // The position among a group's counts, fresh digits below, carried over to the counts here.
+        let fresh = f64::from(random::mix(self.fresh[i] ^ 0x7f4a_7c15)) * 2f64.powi(-32);
+        let share = (f64::from(self.at[i]) + fresh) / f64::from(COUNTS);
+        let (slot, offset) = counts.find(((share * f64::from(total)) as u32).min(total - 1));
+        let index = self.group[i] * LEAVES_A_GROUP as u32 + slot as u32;
+        let leaf = sampler.texels.leaves[index as usize];
+        (self.offset[i], self.width[i]) = (offset, counts.width(slot));
+        self.probability[i] *= self.width[i] as f32 / total as f32;
+        (self.leaf[i], self.total[i]) = (index, leaf.counts);
+        self.at[i] = leaf.first + ((remainder(self, i) * f64::from(leaf.counts)) as u32).min(leaf.counts - 1);
         if !counts.above(slot) {
             // The control variate covers what its integral does.
             self.control[i] = 0.0;
             self.leaf[i] |= AT_HORIZON;
         }
-    }
-
-    /// First and last cell that each may be.
-    #[inline(always)]
-    fn bounds(&mut self, sampler: &Tessellated, count: usize) {
-        let texels = &sampler.texels;
-        let (guide, begins) = (texels.guide(), texels.begins());
-        for i in 0..count {
-            (self.low[i], self.high[i]) = match self.leaf[i] {
-                WHOLE_GROUP => bounds(guide, self.group[i], self.at[i]),
-                NO_LEAF => (0, 0),
-                leaf => {
-                    let leaf = texels.leaves[(leaf & !AT_HORIZON) as usize];
-                    self.at[i] += leaf.first;
-                    (leaf.begin, leaf.end - 1)
-                }
-            };
-            prefetch(begins, self.low[i] as usize);
-            prefetch(begins, self.high[i] as usize);
-        }
+        (leaf.begin, leaf.end - 1)
     }
 
     #[inline(always)]
@@ -350,7 +341,7 @@ impl Block {
         let begins = texels.begins();
         for i in 0..count {
             let place = find(begins, [self.low[i], self.high[i]], self.at[i]);
-            let (begin, width) = texels.counts_in(begins, place, self.group[i]);
+            let (begin, width) = counts(begins, place);
             (self.low[i], self.offset[i], self.width[i]) = (place, self.at[i] - begin, width);
         }
         let order = texels.order();
@@ -398,7 +389,7 @@ impl Block {
         if leaf.end - leaf.begin > MOST_AT_HORIZON {
             return;
         }
-        let total: u32 = (leaf.begin..leaf.end).map(|place| sampler.horizon_width(place, self.group[i], aim)).sum();
+        let total: u32 = (leaf.begin..leaf.end).map(|place| sampler.horizon_width(place, aim)).sum();
         self.total[i] = total.max(1);
         if total == 0 {
             (self.leaf[i], self.offset[i], self.width[i]) = (NO_LEAF, 0, 1);
@@ -410,7 +401,7 @@ impl Block {
         let at = ((share * f64::from(total)) as u32).min(total - 1);
         let mut begin = 0;
         for place in leaf.begin..leaf.end {
-            let width = sampler.horizon_width(place, self.group[i], aim);
+            let width = sampler.horizon_width(place, aim);
             if at < begin + width {
                 (self.low[i], self.offset[i], self.width[i]) = (place, at - begin, width);
                 return;
@@ -425,13 +416,13 @@ pub(super) const MOST_AT_HORIZON: u32 = 4096;
 
 impl Tessellated {
     /// The counts of a cell in a leaf that crosses the horizon: positive wherever a part of it is above.
-    pub(super) fn horizon_width(&self, place: u32, group: u32, aim: Aim) -> u32 {
+    pub(super) fn horizon_width(&self, place: u32, aim: Aim) -> u32 {
         let center = self.cells.sides(self.texels.order()[place as usize].place).direction(0.5, 0.5);
         let cosine = center.dot(aim.axis) + self.cells.half_diagonal() as f32 + aim.radius;
         if cosine <= 0.0 {
             return 0;
         }
-        (f64::from(self.texels.counts(place, group).1) * f64::from(cosine.min(1.0))) as u32 + 1
+        (f64::from(self.texels.counts(place).1) * f64::from(cosine.min(1.0))) as u32 + 1
     }
 }
 

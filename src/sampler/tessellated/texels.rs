@@ -9,8 +9,8 @@ use rayon::prelude::*;
 use std::hint::select_unpredictable;
 use std::ops::Range;
 
-/// Counts a group's cells share out, at most.
-const COUNTS: u32 = 1 << 31;
+/// Counts a group's cells share out.
+pub(super) const COUNTS: u32 = 1 << 31;
 
 /// Counts to a bucket of the guide table.
 const BUCKET: u32 = 24;
@@ -84,10 +84,14 @@ impl Texels {
                 *begin = at;
                 at += (cells.energy(cell) * scale) as u32 + 1;
             }
-            group.counts = at;
+            // What rounding has left over, at most one each, is the brightest one's.
+            let widths = begins.iter().skip(1).chain([&at]).zip(&*begins).map(|(end, begin)| end - begin);
+            let brightest = widths.enumerate().max_by_key(|&(_, width)| width).map_or(0, |(i, _)| i);
+            begins[brightest + 1..].iter_mut().for_each(|begin| *begin += COUNTS - at);
+            group.counts = COUNTS;
             for leaf in leaves.iter_mut().filter(|leaf| leaf.end > leaf.begin) {
                 leaf.first = begins[(leaf.begin - group.begin) as usize];
-                leaf.counts = begins.get((leaf.end - group.begin) as usize).unwrap_or(&at) - leaf.first;
+                leaf.counts = begins.get((leaf.end - group.begin) as usize).unwrap_or(&COUNTS) - leaf.first;
             }
             let mut cell = 0;
             for (bucket, guide) in guide.iter_mut().enumerate() {
@@ -101,7 +105,7 @@ impl Texels {
         Self { order, begins, groups, leaves, guide }
     }
 
-    /// Which cell holds a bucket's first count, for [`bounds`].
+    /// Which cell holds a bucket's first count, for [`bucket`].
     #[inline(always)]
     pub(super) fn guide(&self) -> &[u32] {
         self.guide.get()
@@ -115,17 +119,8 @@ impl Texels {
 
     /// Where a cell's counts begin in its group's, and how many they are.
     #[inline(always)]
-    pub(super) fn counts(&self, place: u32, group: u32) -> (u32, u32) {
-        self.counts_in(self.begins(), place, group)
-    }
-
-    /// The same, from [`Self::begins`].
-    #[inline(always)]
-    pub(super) fn counts_in(&self, begins: &[u32], place: u32, group: u32) -> (u32, u32) {
-        let (begin, next) = (begins[place as usize], begins[place as usize + 1]);
-        // The next group's begin at 0 again.
-        let end = if next > begin { next } else { self.groups[group as usize].counts };
-        (begin, end - begin)
+    pub(super) fn counts(&self, place: u32) -> (u32, u32) {
+        counts(self.begins(), place)
     }
 
     /// The cells along the curve.
@@ -143,11 +138,19 @@ impl Texels {
     }
 }
 
-/// First and last place that a group's count `at` may fall to.
+/// Where a group's count `at` stands in the guide: it falls to the place there, the next one, or one between them.
 #[inline(always)]
-pub(super) fn bounds(guide: &[u32], group: u32, at: u32) -> (u32, u32) {
-    let bucket = group as usize * GUIDES + (at >> BUCKET) as usize;
-    (guide[bucket], guide[bucket + 1])
+pub(super) fn bucket(group: u32, at: u32) -> u32 {
+    group * GUIDES as u32 + (at >> BUCKET)
+}
+
+/// Where a cell's counts begin in its group's, and how many they are.
+#[inline(always)]
+pub(super) fn counts(begins: &[u32], place: u32) -> (u32, u32) {
+    let (begin, next) = (begins[place as usize], begins[place as usize + 1]);
+    // The next group's begin at 0 again.
+    let end = if next > begin { next } else { COUNTS };
+    (begin, end - begin)
 }
 
 /// The place between two that count `at` of their group falls to.

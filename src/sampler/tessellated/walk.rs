@@ -109,7 +109,10 @@ impl Tessellated {
         self.descend((weights, leaves), &asked, begun.stage, [&mut first[slot], rest], |block| {
             lists.add(block);
             if record.is_some() {
-                control.extend_from_slice(&block.factor[..block.count]);
+                match block.count {
+                    BLOCK => control.extend_from_slice(&block.factor),
+                    count => control.extend_from_slice(&block.factor[..count]),
+                }
             }
         });
     }
@@ -172,13 +175,21 @@ impl Lists<'_> {
     #[inline]
     fn add(&mut self, block: &Block) {
         let count = block.count;
-        self.dir.extend(block.dir.each_ref().map(|row| &row[..count]));
-        self.radiance.extend(block.radiance.each_ref().map(|row| &row[..count]));
-        self.pdf.extend_from_slice(&block.pdf[..count]);
-        if self.target != NO_TARGET {
-            self.targets.extend(block.group[..count].iter().map(|group| self.target + group));
-        } else if self.learns {
-            self.targets.resize(self.targets.len() + count, NO_TARGET);
+        let targets = block.group.map(|group| if self.target == NO_TARGET { NO_TARGET } else { self.target + group });
+        if count == BLOCK {
+            self.dir.extend_by(&block.dir);
+            self.radiance.extend_by(&block.radiance);
+            self.pdf.extend_from_slice(&block.pdf);
+            if self.learns {
+                self.targets.extend_from_slice(&targets);
+            }
+        } else {
+            self.dir.extend(block.dir.each_ref().map(|row| &row[..count]));
+            self.radiance.extend(block.radiance.each_ref().map(|row| &row[..count]));
+            self.pdf.extend_from_slice(&block.pdf[..count]);
+            if self.learns {
+                self.targets.extend_from_slice(&targets[..count]);
+            }
         }
     }
 }
