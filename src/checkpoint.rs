@@ -20,7 +20,7 @@ use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// What the file begins with; the last byte is the version.
-const MAGIC: [u8; 8] = *b"DOMELCP\x03";
+const MAGIC: [u8; 8] = *b"DOMELCP\x04";
 
 /// Bytes of the hash at the end.
 const HASH: u64 = 32;
@@ -45,7 +45,7 @@ struct Header {
 /// What the render's image is a function of. `plugins` are accelerator, sampler and integrator with all options.
 pub fn identity(render: &Render<'_>, plugins: [&Params; 3]) -> Identity {
     // Threads, tiles and limits of time change nothing in a pass.
-    let Settings { size, crop, spp, rays, camera_rays: _, seed, tile: _, filter, background, aovs, variance, time: _ } =
+    let Settings { size, crop, spp, rays, camera_rays, seed, tile: _, filter, background, aovs, variance, time: _ } =
         render.settings;
     let mut dome = Sha256::new();
     dome.update(format!("{:?}", render.dome.grid));
@@ -60,7 +60,7 @@ pub fn identity(render: &Render<'_>, plugins: [&Params; 3]) -> Identity {
         ("crop", crop.map(|v| v.to_string()).join(",")),
         ("spp", spp.to_string()),
         ("rays", rays.to_string()),
-        ("camera rays", render.settings.camera_rays().to_string()),
+        ("camera rays", camera_rays.map_or("auto".to_owned(), |n| n.to_string())),
         ("seed", seed.to_string()),
         ("filter", format!("{filter:?}")),
         ("background", format!("{background:?}")),
@@ -112,7 +112,7 @@ pub fn write(path: &Path, identity: &Identity, state: &State, sampler: &dyn Dome
         out.write_all(&MAGIC)?;
         out.write_all(&(header.len() as u64).to_ne_bytes())?;
         out.write_all(&header)?;
-        state.picture.film.save(&mut out)?;
+        state.save(&mut out)?;
         sampler.save(&mut out)?;
         let Hashing { to, hash } = out.into_inner().map_err(io::IntoInnerError::into_error)?;
         to.write_all(&hash.finalize())
@@ -204,7 +204,7 @@ impl Checkpoint {
             ));
         }
         let mut state = render.start();
-        let read = state.picture.film.restore(&mut self.body).and_then(|()| sampler.restore(&mut self.body));
+        let read = state.restore(&mut self.body).and_then(|()| sampler.restore(&mut self.body));
         if read.is_err() || self.body.limit() != 0 {
             let message = "the checkpoint's data is of another size than this render's; render without --resume";
             return Err(Error::checkpoint(&self.path, message));
@@ -212,7 +212,8 @@ impl Checkpoint {
         let Header { passes, spp, seconds, counts, max_weight, .. } = self.header;
         state.picture.spp = spp;
         state.picture.counts = Counts { max_weight: f32::from_bits(max_weight), ..counts };
-        Ok(State { passes, seconds, ..state })
+        (state.passes, state.seconds) = (passes, seconds);
+        Ok(state)
     }
 
     fn differences(&self, identity: &Identity) -> Vec<String> {

@@ -8,6 +8,7 @@
 
 mod flush;
 mod schedule;
+mod views;
 
 use crate::accel::{Accel, Hit, Ray};
 use crate::dome::Dome;
@@ -22,9 +23,11 @@ use crate::scene::{Scene, Surface};
 use flush::flush;
 use glam::Vec3;
 use rayon::prelude::*;
-use schedule::Pass;
+use schedule::{Looks, Pass};
+use std::io::{self, Read, Write};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::time::Instant;
+use views::Views;
 
 /// What camera rays that miss everything show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -49,7 +52,7 @@ pub struct Settings {
     pub spp: u32,
     /// Shadow rays a camera sample.
     pub rays: u32,
-    /// Camera rays for each camera sample, itself among them; none given: as many as cost next to nothing. See
+    /// Camera rays for each camera sample, itself among them; none given: as many as pay, region by region of the image. See
     /// [`Integrator::expected`].
     pub camera_rays: Option<u32>,
     /// The image's seed.
@@ -66,13 +69,6 @@ pub struct Settings {
     pub variance: bool,
     /// Seconds after which no further pass begins.
     pub time: Option<f64>,
-}
-
-impl Settings {
-    /// Camera rays for each camera sample, where they are of use.
-    pub fn camera_rays(&self) -> u32 {
-        self.camera_rays.unwrap_or((self.rays / RAYS_A_VIEW).clamp(1, MOST_VIEWS))
-    }
 }
 
 /// How a render is watched and stopped.
@@ -129,6 +125,22 @@ pub struct State {
     pub passes: u32,
     /// Seconds of rendering behind it.
     pub seconds: f64,
+    /// What was seen of the image's regions.
+    views: Views,
+}
+
+impl State {
+    /// Writes the pixels, and what was seen of them, for a checkpoint.
+    pub(crate) fn save(&self, out: &mut dyn Write) -> io::Result<()> {
+        self.picture.film.save(out)?;
+        self.views.save(out)
+    }
+
+    /// Reads what a state of a render of the same size and layers has saved.
+    pub(crate) fn restore(&mut self, input: &mut dyn Read) -> io::Result<()> {
+        self.picture.film.restore(input)?;
+        self.views.restore(input)
+    }
 }
 
 impl Counts {
@@ -159,12 +171,6 @@ pub struct Render<'a> {
     pub settings: Settings,
 }
 
-/// Shadow rays beside which a further camera ray costs next to nothing.
-const RAYS_A_VIEW: u32 = 8;
-
-/// Camera rays for each camera sample where nobody says, at most.
-const MOST_VIEWS: u32 = 4;
-
 /// Camera rays traced together.
 const CHUNK: usize = 1024;
 
@@ -185,7 +191,7 @@ impl Render<'_> {
             film.replicates = Replicates::new(film.pixels.len());
         }
         let picture = Picture { film, spp: 0, stopped: false, counts: Counts::default() };
-        State { picture, passes: 0, seconds: 0.0 }
+        State { picture, passes: 0, seconds: 0.0, views: Views::new(self.settings.size) }
     }
 
     /// Renders on from `state`, which `sampler` belongs to. `keep` is shown the state before every pass, and when no
@@ -226,7 +232,7 @@ impl Render<'_> {
                 .zip(&mut films)
                 .map_init(Scratch::default, |scratch, (tile, film)| {
                     film.clear();
-                    let counts = self.tile(&world, pass, *tile, film, scratch);
+                    let counts = self.tile(&world, (pass, &state.views), *tile, film, scratch);
                     let share = (finished.fetch_add(1, Relaxed) + 1) as f64 / tiles.len() as f64;
                     (watch.progress)((done + share * pass.work()) / work);
                     counts
@@ -251,9 +257,14 @@ impl Render<'_> {
         state.picture
     }
 
-    /// Camera rays for each camera sample.
-    fn views(&self, sampler: &dyn DomeSampler) -> u32 {
-        if self.integrator.expects(sampler) { self.settings.camera_rays() } else { 1 }
+    /// Camera rays for each camera sample of a pixel.
+    fn views(&self, sampler: &dyn DomeSampler, (pass, views): (&Pass, &Views), pixel: [u32; 2]) -> u32 {
+        match (self.settings.camera_rays, pass.looks) {
+            _ if !self.integrator.expects(sampler) => 1,
+            (Some(views), _) => views,
+            (None, Looks::About) => 2,
+            (None, Looks::ByWhatWasSeen) => views.of(pixel, self.settings.rays),
+        }
     }
 
     /// The tiles of the crop window.
@@ -265,13 +276,12 @@ impl Render<'_> {
     fn tile(
         &self,
         world: &World<'_>,
-        pass: &Pass,
+        (pass, seen): (&Pass, &Views),
         [x, y, width, height]: [u32; 4],
         film: &mut Film,
         s: &mut Scratch,
     ) -> Counts {
         let mut counts = Counts::default();
-        let views = self.views(world.sampler);
         let each = schedule::replicate(&self.settings);
         // Pixels that look up the same place together, all samples of a pixel together: they share what is prepared. The order
         // of a block's pixels, in which the sampler counts, does not depend on the tile: the sort is stable.
@@ -287,6 +297,7 @@ impl Render<'_> {
         for i in 0..s.pixels.len() {
             let (_, pixel, numbers) = s.pixels[i];
             let places = seed(pixel, pass.replicate, 0);
+            let views = self.views(world.sampler, (pass, seen), pixel);
             for sample in pass.first..pass.first + pass.count {
                 let numbers = Numbers { seed: numbers, sample };
                 // Shaded samples have the beginning of the sequence, one stratified set; all together are another.
@@ -294,34 +305,45 @@ impl Render<'_> {
                 for view in 0..views {
                     let place = if view == 0 { at } else { each + at * (views - 1) + view - 1 };
                     let place = random::sobol2(place, places).map(random::unit);
-                    s.cameras.push(CameraSample { pixel, place, numbers, shaded: view == 0 });
+                    s.cameras.push(CameraSample { pixel, place, numbers, views, shaded: view == 0 });
                 }
-                if s.cameras.len() + views as usize > CHUNK {
-                    self.chunk(world, pass.weight, s, film, &mut counts);
+                if s.cameras.len() >= CHUNK {
+                    self.chunk(world, (pass, seen), s, film, &mut counts);
                 }
             }
         }
-        self.chunk(world, pass.weight, s, film, &mut counts);
+        self.chunk(world, (pass, seen), s, film, &mut counts);
         world.sampler.tally(&mut s.draws);
         counts
     }
 
-    fn chunk(&self, world: &World<'_>, weight: f32, s: &mut Scratch, film: &mut Film, counts: &mut Counts) {
+    fn chunk(
+        &self,
+        world: &World<'_>,
+        (pass, seen): (&Pass, &Views),
+        s: &mut Scratch,
+        film: &mut Film,
+        counts: &mut Counts,
+    ) {
         s.rays.clear();
         s.samples.clear();
+        s.expected.clear();
         for &CameraSample { pixel: [x, y], place: [u, v], .. } in &s.cameras {
             let filter = self.settings.filter;
             s.rays.push(self.view.ray(x as f32 + 0.5 + filter.offset(u), y as f32 + 0.5 + filter.offset(v)));
         }
         counts.camera_rays += s.rays.len() as u64;
         nearest(self.scene, self.accel, &s.rays, &mut s.hits, &mut s.visibility);
-        let views = self.views(world.sampler) as f32;
         let mut waiting = None;
         for i in 0..s.rays.len() {
-            let CameraSample { pixel, numbers, shaded, .. } = s.cameras[i];
+            let CameraSample { pixel, numbers, views, shaded, .. } = s.cameras[i];
             let (ray, hit) = (&s.rays[i], &s.hits[i]);
             if !hit.is_hit() {
-                s.samples.push(self.miss(ray));
+                let sample = self.miss(ray);
+                if shaded {
+                    s.expected.push(sample.radiance);
+                }
+                s.samples.push(sample);
                 continue;
             }
             let hit = &if shaded { self.scene.refined(ray, hit) } else { *hit };
@@ -330,7 +352,7 @@ impl Render<'_> {
             let rays = self.settings.rays;
             let point = Shading { pixel, distance: hit.t, wo: -ray.dir, surface: &surface, numbers, rays };
             let mut radiance = Vec3::ZERO;
-            if views > 1.0 {
+            if views > 1 {
                 radiance = self.integrator.expected(world, &point, &mut s.draws);
             }
             let aovs = self.settings.aovs.then_some(AovSample {
@@ -342,20 +364,24 @@ impl Render<'_> {
             });
             s.samples.push(Sample { radiance, alpha: 1.0, aovs });
             if shaded {
+                s.expected.push(radiance);
                 self.integrator.begin(world, &point, &mut s.draws);
                 let next = Waiting { sample: i, distance: hit.t, surface };
                 if let Some(before) = waiting.replace(next) {
-                    self.shade(world, &before, views, s, counts);
+                    self.shade(world, &before, s, counts);
                 }
             }
         }
         if let Some(last) = waiting {
-            self.shade(world, &last, views, s, counts);
+            self.shade(world, &last, s, counts);
         }
-        flush(world, views, s, counts);
-        for (&CameraSample { pixel, numbers, .. }, value) in s.cameras.iter().zip(&s.samples) {
+        flush(world, s, counts);
+        if pass.looks == Looks::About {
+            self.notice(seen, s);
+        }
+        for (&CameraSample { pixel, numbers, views, .. }, value) in s.cameras.iter().zip(&s.samples) {
             if value.radiance.is_finite() {
-                film.add(film.index(pixel), value, weight);
+                film.add(film.index(pixel), value, pass.weight / views as f32);
             } else {
                 counts.dropped += 1;
                 counts.dropped_at.get_or_insert([pixel[0], pixel[1], numbers.sample]);
@@ -364,10 +390,28 @@ impl Render<'_> {
         s.cameras.clear();
     }
 
+    /// Shows `seen` what was expected, and what has become of it.
+    fn notice(&self, seen: &Views, s: &mut Scratch) {
+        let light = |radiance: Vec3| Dome::weight(radiance.to_array());
+        let mut first = 0;
+        for &expected in &s.expected {
+            let CameraSample { pixel, views, .. } = s.cameras[first];
+            let of_sample = &s.samples[first..first + views as usize];
+            s.lights.clear();
+            s.lights.extend(of_sample.iter().map(|sample| light(sample.radiance)));
+            // The first one holds what its rays have brought once for each.
+            let known = light(expected) + (s.lights[0] - light(expected)) / views as f32;
+            s.lights[0] = light(expected);
+            seen.notice(pixel, &s.lights, known);
+            first += views as usize;
+        }
+    }
+
     /// Shades a sample: what it is expected to be makes way for what is known, and for what its rays will bring.
-    fn shade(&self, world: &World<'_>, waiting: &Waiting, views: f32, s: &mut Scratch, counts: &mut Counts) {
+    fn shade(&self, world: &World<'_>, waiting: &Waiting, s: &mut Scratch, counts: &mut Counts) {
         let &Waiting { sample, distance, ref surface } = waiting;
-        let CameraSample { pixel, numbers, .. } = s.cameras[sample];
+        let CameraSample { pixel, numbers, views, .. } = s.cameras[sample];
+        let views = views as f32;
         let rays = self.settings.rays;
         let point = Shading { pixel, distance, wo: -s.rays[sample].dir, surface, numbers, rays };
         s.queue.sample = sample as u32;
@@ -376,7 +420,7 @@ impl Render<'_> {
         *radiance = views * known - (views - 1.0) * *radiance;
         counts.rays_asked += u64::from(rays);
         if s.queue.rays.len() >= BATCH {
-            flush(world, views, s, counts);
+            flush(world, s, counts);
         }
     }
 
@@ -410,6 +454,8 @@ struct CameraSample {
     place: [f32; 2],
     /// For its shadow rays.
     numbers: Numbers,
+    /// How many there are of its sample.
+    views: u32,
     /// Whether it traces shadow rays.
     shaded: bool,
 }
@@ -431,6 +477,9 @@ struct Scratch {
     rays: Vec<Ray>,
     hits: Vec<Hit>,
     samples: Vec<Sample>,
+    /// What the shaded ones were expected to be.
+    expected: Vec<Vec3>,
+    lights: Vec<f32>,
     occluded: Vec<u8>,
     draws: Draws,
     queue: Queue,

@@ -6,8 +6,8 @@ use crate::integrator::{World, visibility};
 use crate::simd::{Kernel, dispatch};
 use glam::Vec3;
 
-/// Traces the queue and adds what arrives to its samples, each of which stands for `views`.
-pub(super) fn flush(world: &World<'_>, views: f32, s: &mut Scratch, counts: &mut Counts) {
+/// Traces the queue and adds what arrives to its samples, each of which stands for all camera rays of its sample.
+pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
     let queue = &mut s.queue;
     counts.shadow_rays += queue.rays.len() as u64;
     visibility::occluded(world.scene, world.accel, &queue.rays, &mut s.occluded, &mut s.visibility);
@@ -15,8 +15,9 @@ pub(super) fn flush(world: &World<'_>, views: f32, s: &mut Scratch, counts: &mut
     let mut first = 0;
     for &(sample, rays) in &queue.samples {
         let Some(aovs) = &mut s.samples[sample as usize].aovs else { break };
+        let views = s.cameras[sample as usize].views as f32;
         for i in first..first + rays as usize {
-            let light = Dome::weight(queue.contributions.get(i).to_array());
+            let light = views * Dome::weight(queue.contributions.get(i).to_array());
             aovs.light[1] += light;
             aovs.light[0] += if s.occluded[i] == 0 { light } else { 0.0 };
         }
@@ -29,6 +30,7 @@ pub(super) fn flush(world: &World<'_>, views: f32, s: &mut Scratch, counts: &mut
     for &(sample, rays) in &queue.samples {
         let of_sample = first..first + rays as usize;
         let arrived = [r, g, b].map(|row| row[of_sample.clone()].iter().sum::<f32>());
+        let views = s.cameras[sample as usize].views as f32;
         s.samples[sample as usize].radiance += views * Vec3::from(arrived);
         first = of_sample.end;
     }

@@ -47,6 +47,15 @@ impl Lattice {
     }
 }
 
+/// What decides on a sample's camera rays.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Looks {
+    /// Two, and what they see is taken in.
+    About,
+    /// What was seen so far.
+    ByWhatWasSeen,
+}
+
 /// Some camera samples of some pixels.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Pass {
@@ -62,6 +71,8 @@ pub(super) struct Pass {
     /// the replicate, and what its samples have taken before this sequence.
     pub(super) replicate: u32,
     pub(super) before: u32,
+    /// How many camera rays a sample has where nobody says.
+    pub(super) looks: Looks,
     /// Whether the sampler's stage ends here.
     pub(super) ends_stage: bool,
     /// Camera samples that every pixel has after this pass.
@@ -104,6 +115,8 @@ pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
             sequence: if lattice.step == FIRST { u32::MAX } else { 0 },
             replicate: 0,
             before: 0,
+            // Before that too little is known to go by, after it nothing is left to go by it.
+            looks: if lattice.step == 2 { Looks::About } else { Looks::ByWhatWasSeen },
             ends_stage: true,
             spp_after: if lattice.step == 1 { count } else { 0 },
         }));
@@ -123,6 +136,7 @@ pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
             sequence,
             replicate: done / each,
             before: first % each,
+            looks: Looks::ByWhatWasSeen,
             ends_stage: false,
             spp_after: done + count,
         });
