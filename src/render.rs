@@ -246,6 +246,7 @@ impl Render<'_> {
             if pass.ends_stage && state.passes + 1 < passes.len() as u32 {
                 sampler.next_stage();
             }
+            state.views.settle();
             done += pass.work();
             state.passes += 1;
             state.picture.spp = state.picture.spp.max(pass.spp_after);
@@ -262,8 +263,7 @@ impl Render<'_> {
         match (self.settings.camera_rays, pass.looks) {
             _ if !self.integrator.expects(sampler) => 1,
             (Some(views), _) => views,
-            (None, Looks::About) => 2,
-            (None, Looks::ByWhatWasSeen) => views.of(pixel, self.settings.rays),
+            (None, Looks { least, .. }) => views.of(pixel, self.settings.rays).max(least),
         }
     }
 
@@ -376,7 +376,7 @@ impl Render<'_> {
             self.shade(world, &last, s, counts);
         }
         flush(world, s, counts);
-        if pass.looks == Looks::About {
+        if pass.looks.about {
             self.notice(seen, s);
         }
         for (&CameraSample { pixel, numbers, views, .. }, value) in s.cameras.iter().zip(&s.samples) {

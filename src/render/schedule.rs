@@ -47,13 +47,17 @@ impl Lattice {
     }
 }
 
-/// What decides on a sample's camera rays.
+/// How many camera rays a sample has where nobody says: as many as what was seen asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Looks {
-    /// Two, and what they see is taken in.
-    About,
-    /// What was seen so far.
-    ByWhatWasSeen,
+pub(super) struct Looks {
+    /// At least.
+    pub(super) least: u32,
+    /// Whether what these see is taken in.
+    pub(super) about: bool,
+}
+
+impl Looks {
+    const BY_WHAT_WAS_SEEN: Self = Self { least: 1, about: false };
 }
 
 /// Some camera samples of some pixels.
@@ -71,7 +75,7 @@ pub(super) struct Pass {
     /// the replicate, and what its samples have taken before this sequence.
     pub(super) replicate: u32,
     pub(super) before: u32,
-    /// How many camera rays a sample has where nobody says.
+    /// Its samples' camera rays.
     pub(super) looks: Looks,
     /// Whether the sampler's stage ends here.
     pub(super) ends_stage: bool,
@@ -115,8 +119,12 @@ pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
             sequence: if lattice.step == FIRST { u32::MAX } else { 0 },
             replicate: 0,
             before: 0,
-            // Before that too little is known to go by, after it nothing is left to go by it.
-            looks: if lattice.step == 2 { Looks::About } else { Looks::ByWhatWasSeen },
+            // The first stage knows nothing yet to go by, the last leaves nothing to go by it.
+            looks: match lattice.step {
+                4 => Looks { least: 4, about: true },
+                2 => Looks { least: 2, about: true },
+                _ => Looks::BY_WHAT_WAS_SEEN,
+            },
             ends_stage: true,
             spp_after: if lattice.step == 1 { count } else { 0 },
         }));
@@ -136,7 +144,7 @@ pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
             sequence,
             replicate: done / each,
             before: first % each,
-            looks: Looks::ByWhatWasSeen,
+            looks: Looks::BY_WHAT_WAS_SEEN,
             ends_stage: false,
             spp_after: done + count,
         });

@@ -18,8 +18,8 @@ const REGION: u32 = 32;
 const MOST: u32 = 16;
 
 /// The price of a shadow ray, and of what else a shaded sample costs, in camera rays.
-const RAY: f64 = 1.25;
-const POINT: f64 = 2.0;
+const RAY: f64 = 2.0;
+const POINT: f64 = 4.0;
 
 /// What a term counts that is as large as the light itself.
 const ONE: f32 = 65536.0;
@@ -28,26 +28,22 @@ const ONE: f32 = 65536.0;
 #[derive(Debug)]
 pub(super) struct Views {
     columns: u32,
-    regions: Vec<Seen>,
-}
-
-/// Relative to the light, sample by sample: Σ W, Σ R.
-#[derive(Debug, Default)]
-struct Seen {
-    between: AtomicU64,
-    beside: AtomicU64,
+    /// By region; relative to the light, sample by sample: Σ W, Σ R.
+    sums: Vec<[AtomicU64; 2]>,
+    /// The same as it was when the last pass ended.
+    settled: Vec<[u64; 2]>,
 }
 
 impl Views {
     /// For an image of `size` pixels of which nothing is known.
     pub(super) fn new([width, height]: [u32; 2]) -> Self {
         let [columns, rows] = [width, height].map(|side| side.div_ceil(REGION).max(1));
-        let regions = (0..columns as usize * rows as usize).map(|_| Seen::default()).collect();
-        Self { columns, regions }
+        let count = columns as usize * rows as usize;
+        Self { columns, sums: (0..count).map(|_| Default::default()).collect(), settled: vec![[0; 2]; count] }
     }
 
-    fn region(&self, [x, y]: [u32; 2]) -> &Seen {
-        &self.regions[(y / REGION) as usize * self.columns as usize + (x / REGION) as usize]
+    fn region(&self, [x, y]: [u32; 2]) -> usize {
+        (y / REGION) as usize * self.columns as usize + (x / REGION) as usize
     }
 
     /// Takes in a sample: what its camera rays expect, and what the first of them turned out to be; luminances.
@@ -60,17 +56,22 @@ impl Views {
         }
         let between = expected.iter().map(|c| (c - mean) * (c - mean)).sum::<f32>() / (count - 1.0);
         let beside = (known - expected[0]) * (known - expected[0]);
-        let seen = self.region(pixel);
-        for (sum, square) in [(&seen.between, between), (&seen.beside, beside)] {
+        for (sum, square) in self.sums[self.region(pixel)].iter().zip([between, beside]) {
             sum.fetch_add((square / light * ONE) as u64, Relaxed);
+        }
+    }
+
+    /// Goes by all that was taken in from now on; between passes.
+    pub(super) fn settle(&mut self) {
+        for (settled, sums) in self.settled.iter_mut().zip(&mut self.sums) {
+            *settled = sums.each_mut().map(|sum| *sum.get_mut());
         }
     }
 
     /// Camera rays for each camera sample of a pixel with so many shadow rays: a power of two, so that they share out the
     /// pixel evenly.
     pub(super) fn of(&self, pixel: [u32; 2], rays: u32) -> u32 {
-        let seen = self.region(pixel);
-        let [between, beside] = [&seen.between, &seen.beside].map(|sum| sum.load(Relaxed) as f64);
+        let [between, beside] = self.settled[self.region(pixel)].map(|sum| sum as f64);
         let square = |n: u32| f64::from(n) * f64::from(n);
         let most = (POINT + RAY * f64::from(rays)) * between;
         let mut views = 1;
@@ -83,15 +84,59 @@ impl Views {
 
     /// Writes what was seen, for a checkpoint.
     pub(super) fn save(&self, out: &mut dyn Write) -> io::Result<()> {
-        let mut sums = self.regions.iter().flat_map(|seen| [&seen.between, &seen.beside]);
-        sums.try_for_each(|sum| out.write_all(&sum.load(Relaxed).to_ne_bytes()))
+        self.sums.iter().flatten().try_for_each(|sum| out.write_all(&sum.load(Relaxed).to_ne_bytes()))
     }
 
-    /// Reads what views of the same size have saved.
+    /// Reads what views of the same size have saved between passes.
     pub(super) fn restore(&mut self, input: &mut dyn Read) -> io::Result<()> {
-        for sum in self.regions.iter_mut().flat_map(|seen| [&mut seen.between, &mut seen.beside]) {
+        for sum in self.sums.iter_mut().flatten() {
             input.read_exact(bytemuck::bytes_of_mut(sum.get_mut()))?;
         }
+        self.settle();
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Views of two regions; what the left one's samples expect to be 1 ± `between`, turns out `beside` more.
+    fn seen(between: f32, beside: f32) -> Views {
+        let mut views = Views::new([2 * REGION, REGION]);
+        for i in 0..100 {
+            let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
+            views.notice([i % REGION, 0], &[1.0 + between, 1.0 - between], 1.0 + between + sign * beside);
+        }
+        views.settle();
+        views
+    }
+
+    #[test]
+    fn a_region_has_as_many_as_it_asks_for() {
+        let of = |views: &Views, rays| [views.of([REGION - 1, 3], rays), views.of([REGION, 3], rays)];
+        assert_eq!(of(&seen(0.0, 0.1), 16), [1, 1], "nothing differs from place to place");
+        assert_eq!(of(&seen(0.1, 0.0), 16), [MOST, 1], "nothing else errs");
+        // W = 2·0.1², R = 0.1²: n² = 2 (4 + 2·16) = 72, and 8 is the nearest power of two.
+        assert_eq!(of(&seen(0.1, 0.1), 16), [8, 1]);
+        // n² = 2 (4 + 2·4)/25 < 1.
+        assert_eq!(of(&seen(0.02, 0.1), 4), [1, 1]);
+    }
+
+    #[test]
+    fn what_is_no_light_or_no_number_is_not_taken_in() {
+        let mut views = seen(0.1, 0.1);
+        for expected in [[0.0, 0.0], [f32::NAN, 1.0], [f32::INFINITY, 1.0]] {
+            views.notice([0, 0], &expected, 0.0);
+        }
+        views.settle();
+        assert_eq!(views.settled, seen(0.1, 0.1).settled);
+    }
+
+    #[test]
+    fn nobody_goes_by_what_a_pass_sees_before_its_end() {
+        let views = seen(0.0, 0.1);
+        views.notice([REGION, 0], &[1.0, 0.0], 1.0);
+        assert_eq!(views.of([REGION, 0], 16), 1);
     }
 }

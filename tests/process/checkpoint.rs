@@ -42,7 +42,7 @@ fn a_render_goes_on_from_any_pass_as_if_it_had_never_stopped() {
         crop: [3, 5, 50, 40],
         spp: 14,
         rays: 4,
-        camera_rays: Some(3),
+        camera_rays: None,
         seed: 7,
         tile: 32,
         filter: Filter::BlackmanHarris,
@@ -60,8 +60,10 @@ fn a_render_goes_on_from_any_pass_as_if_it_had_never_stopped() {
         settings,
     };
     let watch = Watch { finish: &AtomicBool::new(false), progress: &|_| () };
-    for (spec, variance) in [("tessellated", false), ("tessellated", true), ("latlong", true)] {
-        let render = Render { settings: Settings { variance, ..settings }, ..render };
+    for (spec, variance, camera_rays) in
+        [("tessellated", false, None), ("tessellated", true, Some(3)), ("latlong", true, None)]
+    {
+        let render = Render { settings: Settings { variance, camera_rays, ..settings }, ..render };
         let (plugin, params) = resolve("sampler", SAMPLERS, spec).unwrap();
         let fresh = || (plugin.make)(&dome, &params, &Setup { size, gloss: true, rays: 4 }).unwrap();
         let identity = checkpoint::identity(&render, [&accel_params, &params, &integrator_params]);

@@ -1,6 +1,6 @@
 //! Every registered structure answers as the oracle does, and none falls over a bad ray or a bad triangle.
 use crate::support::accel::{Random, add_instance, add_mesh, closed_box, scene_of, soup};
-use crate::support::render::{Shot, pixels};
+use crate::support::render::{BESIDE, Shot, pixels};
 use crate::support::samplers::sampler;
 use domelight::accel::{self, Accel, AccelStats, Coherence, Hit, Mask, Ray};
 use domelight::dome;
@@ -481,7 +481,17 @@ fn pictures_do_not_depend_on_the_structure() {
         for (other, side, structures) in [("brute", small, &[system, "bvh"][..]), (system, 224, &["bvh"])] {
             let oracle = build(other, &scene);
             let shot = |accel: &dyn Accel| {
-                let shot = Shot { scene: &scene, dome: &light, camera, accel, side, spp: 1, rays: 16, tile: 32 };
+                let shot = Shot {
+                    scene: &scene,
+                    dome: &light,
+                    camera,
+                    accel,
+                    side,
+                    spp: 1,
+                    rays: 16,
+                    camera_rays: BESIDE,
+                    tile: 32,
+                };
                 pixels(&shot.take(sampler("tessellated:cache=off", &light, 16).as_mut(), 1))
             };
             let truth = shot(&*oracle);

@@ -1,7 +1,7 @@
 //! Irradiance that is known on paper, rendered: a point seen through a microscope, white, so that what the camera sees is
 //! E/π. Domes hold exact averages over their texels and have their edges on the texels' edges. The error must lie within
 //! four standard errors, and the standard error below 0.2 %.
-use crate::support::render::{Shot, microscope, pixels, polygon, scene, sheet, square, white};
+use crate::support::render::{BESIDE, Shot, microscope, pixels, polygon, scene, sheet, square, white};
 use crate::support::samplers::{dome, sampler};
 use domelight::accel;
 use domelight::dome::Dome;
@@ -47,7 +47,17 @@ fn irradiance(
     let scene = scene(parts);
     let camera = microscope(Vec3::ZERO, n, 1e-2);
     let accel = accel::build(structure, &scene, 1).unwrap();
-    let shot = Shot { scene: &scene, dome, camera: &camera, accel: accel.as_ref(), side: SIDE, spp, rays, tile: 32 };
+    let shot = Shot {
+        scene: &scene,
+        dome,
+        camera: &camera,
+        accel: accel.as_ref(),
+        side: SIDE,
+        spp,
+        rays,
+        camera_rays: BESIDE,
+        tile: 32,
+    };
     let mut values = Vec::new();
     for seed in 0..SEEDS {
         let picture = shot.take(sampler(spec, dome, rays).as_mut(), seed);

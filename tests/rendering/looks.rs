@@ -2,7 +2,7 @@
 //! glTF's formula integrated numerically, and domes whose orientation can be seen.
 
 use crate::support::formula::reflected;
-use crate::support::render::{Shot, cuboid, microscope, pixels, scene, sheet, square, white};
+use crate::support::render::{BESIDE, Shot, cuboid, microscope, pixels, scene, sheet, square, white};
 use crate::support::samplers::{cosines, dome as dome_of, sampler};
 use assert_cmd::Command;
 use domelight::accel::{self, Ray};
@@ -24,7 +24,8 @@ fn mean(
 ) -> (DVec3, DVec3) {
     let scene = scene(vec![(mesh.clone(), material.clone())]);
     let accel = accel::build("bvh", &scene, 1).unwrap();
-    let shot = Shot { scene: &scene, dome, camera, accel: accel.as_ref(), side: 8, spp, rays, tile: 32 };
+    let shot =
+        Shot { scene: &scene, dome, camera, accel: accel.as_ref(), side: 8, spp, rays, camera_rays: BESIDE, tile: 32 };
     let mut values: Vec<DVec3> = Vec::new();
     for seed in 0..2 {
         let picture = shot.take(sampler(spec, dome, rays).as_mut(), seed);
@@ -62,6 +63,7 @@ fn a_white_sphere_vanishes_in_a_uniform_dome() {
             side: 24,
             spp: 16,
             rays: 32,
+            camera_rays: BESIDE,
             tile: 32,
         };
         let picture = shot.take(sampler(spec, &dome, 32).as_mut(), 3);
@@ -103,8 +105,17 @@ fn faces_of_a_convex_body_have_the_irradiance_of_their_side() {
         let exact = faces.map(light);
         for (spp, rays) in [(4, 16), (1, 64)] {
             let side = 48;
-            let shot =
-                Shot { scene: &scene, dome: &dome, camera: &camera, accel: accel.as_ref(), side, spp, rays, tile: 32 };
+            let shot = Shot {
+                scene: &scene,
+                dome: &dome,
+                camera: &camera,
+                accel: accel.as_ref(),
+                side,
+                spp,
+                rays,
+                camera_rays: BESIDE,
+                tile: 32,
+            };
             let picture = pixels(&shot.take(sampler("tessellated", &dome, rays).as_mut(), 1));
             // The face that a pixel shows, if all of it and its neighbours do.
             let view = shot.view();

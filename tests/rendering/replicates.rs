@@ -1,6 +1,6 @@
 //! The variance that a render states of its pixels is the one that pictures of many seeds have.
 
-use crate::support::render::{Shot, cuboid, pixels, scene, square, white};
+use crate::support::render::{BESIDE, Shot, cuboid, pixels, scene, square, white};
 use crate::support::samplers::{dome, sampler};
 use domelight::accel;
 use domelight::scene::CameraChoice;
@@ -32,6 +32,7 @@ fn stated_variances_are_those_over_seeds() {
             side: SIDE,
             spp,
             rays,
+            camera_rays: BESIDE,
             tile: 32,
         };
         let take = |seed: u32| {

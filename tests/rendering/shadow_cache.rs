@@ -1,6 +1,6 @@
 //! The shadow cache may cost variance, never bias, whatever it holds: renders with a cold, a warm, a stale, an all-zero,
 //! an all-one and a random cache against brute force, pixel by pixel. And an image does not depend on threads or tiles.
-use crate::support::render::{Shot, cuboid, pixels, scene, square, white};
+use crate::support::render::{BESIDE, Shot, cuboid, pixels, scene, square, white};
 use crate::support::samplers::{dome, sampler, unit};
 use domelight::accel::{self, Accel, Coherence, Hit, Mask};
 use domelight::bsdf::Bsdf;
@@ -65,6 +65,7 @@ impl Stage {
             side: SIDE,
             spp,
             rays,
+            camera_rays: BESIDE,
             tile: 32,
         }
     }
@@ -155,6 +156,15 @@ fn a_fresh_cache_while_it_learns() {
     let picture = |seed| pixels(&shot.take(sampler(CACHE, &dome, 8).as_mut(), seed));
     let pictures = summarise(&(0..SEEDS).into_par_iter().map(picture).collect::<Vec<_>>());
     assert_same("four samples", &pictures, &BRUTE_FORCE);
+}
+
+/// Regions of the image have as many camera rays as their first samples ask for.
+#[test]
+fn camera_rays_by_what_was_seen() {
+    let (stage, dome) = (Stage::new(occluders()), sun());
+    let shot = Shot { camera_rays: None, ..stage.shot(&dome, 20, 8) };
+    let pictures = take(&shot, 0, || sampler(CACHE, &dome, 8), |_, _| ());
+    assert_same("as many as pay", &pictures, &BRUTE_FORCE);
 }
 
 #[test]
@@ -280,7 +290,7 @@ fn assert_same_films(parts: Vec<(Mesh, Material)>) {
     let (stage, dome) = (Stage::new(parts), sun());
     let film = |threads: usize, tile: u32| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let shot = Shot { side: 128, tile, ..stage.shot(&dome, 12, 8) };
+        let shot = Shot { side: 128, tile, camera_rays: None, ..stage.shot(&dome, 12, 8) };
         // For this size: beyond the image it was made for, blocks would be shared by tiles.
         let (plugin, params) = resolve("sampler", SAMPLERS, "tessellated:groups=128,triangles=1024").unwrap();
         let setup = Setup { size: [128; 2], gloss: stage.scene.needs.gloss, rays: 8 };

@@ -81,6 +81,9 @@ pub(crate) fn microscope(point: Vec3, n: Vec3, distance: f32) -> Camera {
     Camera { name: "microscope".into(), transform, projection: Projection::Orthographic { ymag: 1e-5 } }
 }
 
+/// More camera rays than the shaded ones: what they are taken for must not move the mean, whatever the cache holds.
+pub(crate) const BESIDE: Option<u32> = Some(3);
+
 /// How a test renders.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shot<'a> {
@@ -91,6 +94,7 @@ pub(crate) struct Shot<'a> {
     pub(crate) side: u32,
     pub(crate) spp: u32,
     pub(crate) rays: u32,
+    pub(crate) camera_rays: Option<u32>,
     pub(crate) tile: u32,
 }
 
@@ -119,8 +123,7 @@ impl Shot<'_> {
             crop,
             spp: self.spp,
             rays: self.rays,
-            // More than the shaded ones: what they are taken for must not move the mean, whatever the cache holds.
-            camera_rays: Some(3),
+            camera_rays: self.camera_rays,
             seed,
             tile: self.tile,
             filter: Filter::Box,
