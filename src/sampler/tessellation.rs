@@ -8,7 +8,7 @@
 //! the rounding. Triangles follow one continuous curve over the sphere (a child's curve enters where its predecessor's
 //! ended): neighbours along the curve are neighbours on the dome, so one stratified number stratifies directions.
 
-use glam::{DQuat, DVec3, EulerRot};
+use glam::{DQuat, DVec3, EulerRot, Vec3};
 use rayon::prelude::*;
 use std::collections::BinaryHeap;
 use std::ops::Range;
@@ -42,6 +42,21 @@ pub struct Tessellation {
     pub groups: Vec<Range<usize>>,
     /// Corners of each leaf.
     pub corners: Vec<[DVec3; 3]>,
+}
+
+/// A lit cell on its way down: with what every split asks for.
+#[derive(Debug, Clone, Copy)]
+struct Lit {
+    cell: u32,
+    center: Vec3,
+    /// Of the whole image's energy: in single precision whatever the image's unit.
+    share: f32,
+}
+
+/// Lit cells sorted into triangles, and the energy of all of them.
+struct Sorted {
+    cells: Vec<Lit>,
+    energy: f64,
 }
 
 #[derive(Debug, Clone)]
@@ -82,14 +97,13 @@ impl Ord for Queued {
 impl Tessellation {
     /// Cuts the dome into at most `groups` groups and `triangles` leaves.
     pub fn new(cells: &impl Cells, groups: usize, triangles: usize) -> Self {
-        let (mut order, faces) = sort_into_faces(cells);
-        let total: f64 = faces.iter().map(|f| f.energy).sum();
+        let (Sorted { cells: mut order, energy: total }, faces) = sort_into_faces(cells);
         let mut scratch = Vec::new();
 
         // Groups: a cell of the cache must be small where the light is, but darkness, too, wants its share: what lies
         // in the sun's shadow is lit by the rest.
         let group_priority = |node: &Node| (node.energy / total).sqrt() * solid_angle(node).sqrt();
-        let grow = Grow { cells, scratch: &mut scratch, order: &mut order, covering: false };
+        let grow = Grow { cells, total, scratch: &mut scratch, order: &mut order, covering: false };
         let mut nodes = grow.run(faces, groups, usize::MAX, group_priority);
         for (i, node) in nodes.iter_mut().enumerate() {
             node.group = i;
@@ -98,14 +112,14 @@ impl Tessellation {
         // Leaves: the cosine's variance inside a triangle goes with its solid angle.
         let leaf_priority = |node: &Node| (node.energy / total).sqrt() * solid_angle(node);
         let nodes = if triangles < nodes.len() * LEAVES_A_GROUP {
-            let grow = Grow { cells, scratch: &mut scratch, order: &mut order, covering: false };
+            let grow = Grow { cells, total, scratch: &mut scratch, order: &mut order, covering: false };
             grow.run(nodes, triangles, LEAVES_A_GROUP, leaf_priority)
         } else {
             // As many as fit: no group's take from another's.
-            let alone = |(node, order): (Node, &mut [u32])| {
+            let alone = |(node, order): (Node, &mut [Lit])| {
                 let (begin, group) = (node.cells.start, node.group);
                 let root = Node { cells: 0..order.len(), group: 0, ..node };
-                let grow = Grow { cells, scratch: &mut Vec::new(), order, covering: false };
+                let grow = Grow { cells, total, scratch: &mut Vec::new(), order, covering: false };
                 let mut leaves = grow.run(vec![root], LEAVES_A_GROUP, LEAVES_A_GROUP, leaf_priority);
                 for leaf in &mut leaves {
                     leaf.cells = begin + leaf.cells.start..begin + leaf.cells.end;
@@ -121,16 +135,16 @@ impl Tessellation {
 
     /// Covers the whole sphere with at most `triangles` triangles, each its own group. Every cell must have light.
     pub fn covering(cells: &impl Cells, triangles: usize) -> Self {
-        let (mut order, mut faces) = sort_into_faces(cells);
+        let (Sorted { cells: mut order, energy: total }, mut faces) = sort_into_faces(cells);
         for face in &mut faces {
-            face.square = order[face.cells.clone()].iter().map(|&cell| square(cells, cell)).sum();
+            face.square = order[face.cells.clone()].iter().map(|lit| square(cells, lit.cell)).sum();
         }
         // A direction uniform in a triangle: what its light's contrast and its cosine's change add to the estimate's spread.
         let priority = |node: &Node| {
             let solid_angle = solid_angle(node);
             (solid_angle * node.square).sqrt() - node.energy * (1.0 - 0.1 * solid_angle)
         };
-        let grow = Grow { cells, scratch: &mut Vec::new(), order: &mut order, covering: true };
+        let grow = Grow { cells, total, scratch: &mut Vec::new(), order: &mut order, covering: true };
         let mut nodes = grow.run(faces, triangles, usize::MAX, priority);
         for (i, node) in nodes.iter_mut().enumerate() {
             node.group = i;
@@ -138,8 +152,9 @@ impl Tessellation {
         Self::of(nodes, order)
     }
 
-    fn of(nodes: Vec<Node>, order: Vec<u32>) -> Self {
-        let mut result = Self { cells: order, ..Self::default() };
+    fn of(nodes: Vec<Node>, order: Vec<Lit>) -> Self {
+        let mut result = Self { cells: order.iter().map(|lit| lit.cell).collect(), ..Self::default() };
+        drop(order);
         for node in nodes {
             if result.groups.len() <= node.group {
                 result.groups.push(result.leaves.len()..result.leaves.len());
@@ -154,15 +169,17 @@ impl Tessellation {
 }
 
 /// Each node's cells.
-fn apart<'a>(nodes: &[Node], mut order: &'a mut [u32]) -> Vec<&'a mut [u32]> {
+fn apart<'a>(nodes: &[Node], mut order: &'a mut [Lit]) -> Vec<&'a mut [Lit]> {
     let cut = |node: &Node| order.split_off_mut(..node.cells.len()).expect("nodes along the curve share all cells");
     nodes.iter().map(cut).collect()
 }
 
 struct Grow<'a, C> {
     cells: &'a C,
-    order: &'a mut [u32],
-    scratch: &'a mut Vec<u32>,
+    /// The energy of all cells.
+    total: f64,
+    order: &'a mut [Lit],
+    scratch: &'a mut Vec<Lit>,
     /// Whether every part of the sphere is to stay in a triangle: then none is split off that holds no cell's centre.
     covering: bool,
 }
@@ -170,7 +187,7 @@ struct Grow<'a, C> {
 impl<C: Cells> Grow<'_, C> {
     /// Splits until there are `most` triangles or none that can be split, no group getting more than `most_a_group`;
     /// returns the leaves along the curve.
-    fn run(self, start: Vec<Node>, most: usize, most_a_group: usize, priority: impl Fn(&Node) -> f64) -> Vec<Node> {
+    fn run(mut self, start: Vec<Node>, most: usize, most_a_group: usize, priority: impl Fn(&Node) -> f64) -> Vec<Node> {
         let mut in_group = vec![0usize; start.len()];
         let mut next: Vec<Option<[Option<usize>; 2]>> = vec![None; start.len()];
         let mut nodes = start;
@@ -188,7 +205,7 @@ impl<C: Cells> Grow<'_, C> {
                 continue;
             }
             let parent = nodes[node].clone();
-            let halves = split(self.cells, self.order, self.scratch, &parent);
+            let halves = self.split(&parent);
             if self.covering && halves.iter().any(|half| half.cells.is_empty()) {
                 continue;
             }
@@ -218,46 +235,46 @@ impl<C: Cells> Grow<'_, C> {
         }
         leaves
     }
-}
 
-/// The two halves of a triangle in the curve's order, the parent's cells sorted into them in place.
-fn split(cells: &impl Cells, order: &mut [u32], scratch: &mut Vec<u32>, parent: &Node) -> [Node; 2] {
-    let [entry, by, exit] = parent.corners;
-    let middle = (entry + exit).normalize();
-    let corners = [[entry, middle, by], [by, middle, exit]];
-    // The plane of the cut, positive on the entry's side.
-    let normal = by.cross(middle);
-    let normal = if normal.dot(entry) < 0.0 { -normal } else { normal };
-    let own = &mut order[parent.cells.clone()];
-    scratch.clear();
-    let (mut energy, mut squares) = ([0.0; 2], [0.0; 2]);
-    let mut kept = 0;
-    for i in 0..own.len() {
-        let cell = own[i];
-        let half = usize::from(cells.center(cell).dot(normal) <= 0.0);
-        energy[half] += cells.energy(cell);
-        if parent.square > 0.0 {
-            squares[half] += square(cells, cell);
+    /// The two halves of a triangle in the curve's order, the parent's cells sorted into them in place.
+    fn split(&mut self, parent: &Node) -> [Node; 2] {
+        let [entry, by, exit] = parent.corners;
+        let middle = (entry + exit).normalize();
+        let corners = [[entry, middle, by], [by, middle, exit]];
+        // The plane of the cut, positive on the entry's side.
+        let normal = by.cross(middle);
+        let normal = if normal.dot(entry) < 0.0 { -normal } else { normal }.as_vec3();
+        let own = &mut self.order[parent.cells.clone()];
+        self.scratch.clear();
+        let (mut shares, mut squares) = ([0.0; 2], [0.0; 2]);
+        let mut kept = 0;
+        for i in 0..own.len() {
+            let lit = own[i];
+            let half = usize::from(lit.center.dot(normal) <= 0.0);
+            shares[half] += f64::from(lit.share);
+            if parent.square > 0.0 {
+                squares[half] += square(self.cells, lit.cell);
+            }
+            if half == 0 {
+                own[kept] = lit;
+                kept += 1;
+            } else {
+                self.scratch.push(lit);
+            }
         }
-        if half == 0 {
-            own[kept] = cell;
-            kept += 1;
-        } else {
-            scratch.push(cell);
-        }
+        own[kept..].copy_from_slice(self.scratch);
+        let Range { start, end } = parent.cells;
+        let halves = [start..start + kept, start + kept..end];
+        let mut halves = halves.into_iter();
+        std::array::from_fn(|i| Node {
+            corners: corners[i],
+            cells: halves.next().expect("there are two halves"),
+            energy: shares[i] * self.total,
+            square: squares[i],
+            depth: parent.depth + 1,
+            group: parent.group,
+        })
     }
-    own[kept..].copy_from_slice(scratch);
-    let Range { start, end } = parent.cells;
-    let halves = [start..start + kept, start + kept..end];
-    let mut halves = halves.into_iter();
-    std::array::from_fn(|i| Node {
-        corners: corners[i],
-        cells: halves.next().expect("there are two halves"),
-        energy: energy[i],
-        square: squares[i],
-        depth: parent.depth + 1,
-        group: parent.group,
-    })
 }
 
 /// ∫ of the weight's square over a cell.
@@ -277,7 +294,7 @@ pub fn spherical_area([a, b, c]: [DVec3; 3]) -> f64 {
 }
 
 /// Lit cells sorted into the cube's twelve triangles, along the curve.
-fn sort_into_faces(cells: &impl Cells) -> (Vec<u32>, Vec<Node>) {
+fn sort_into_faces(cells: &impl Cells) -> (Sorted, Vec<Node>) {
     const TRIANGLES: usize = 12;
     const PORTION: usize = 1 << 14;
     let path = cube_path();
@@ -316,16 +333,21 @@ fn sort_into_faces(cells: &impl Cells) -> (Vec<u32>, Vec<Node>) {
         (found, energy)
     };
     let portions: Vec<_> = (0..cells.count().div_ceil(PORTION)).into_par_iter().map(sort).collect();
+    let total: f64 = portions.iter().flat_map(|(_, energy)| energy).sum();
+    let lit = |&cell: &u32| {
+        let share = (cells.energy(cell) / total) as f32;
+        Lit { cell, center: cells.center(cell).as_vec3(), share }
+    };
     let (mut order, mut nodes) = (Vec::with_capacity(cells.count()), Vec::new());
     for (i, &corners) in path.iter().enumerate() {
         let begin = order.len();
-        portions.iter().for_each(|(found, _)| order.extend_from_slice(&found[i]));
+        portions.iter().for_each(|(found, _)| order.extend(found[i].iter().map(lit)));
         if order.len() > begin {
             let energy = portions.iter().map(|(_, energy)| energy[i]).sum();
             nodes.push(Node { corners, cells: begin..order.len(), energy, square: 0.0, depth: 0, group: nodes.len() });
         }
     }
-    (order, nodes)
+    (Sorted { cells: order, energy: total }, nodes)
 }
 
 /// The cube's faces cut along diagonals, each triangle [entry, passed by, exit], such that every one is entered where the

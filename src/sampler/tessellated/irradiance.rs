@@ -97,9 +97,23 @@ impl Kernel for Sweep<'_> {
             certain += if status == ABOVE { importance } else { 0.0 };
         }
         let notable = notable * sum(importance);
+        if parts {
+            let by_leaves = (0..count).filter(|&g| status[g] == BELOW && importance[g] > 0.0).count();
+            irradiance.rows.resize(count, 0);
+            irradiance.leaves.clear();
+            irradiance.leaves.reserve_exact(by_leaves);
+        }
         for g in 0..count {
-            if status[g] == BELOW && importance[g] > notable {
-                let leaves = Leaves::new(&triangles.leaves[g], Aim { axis: n, radius });
+            let asked = if parts { 0.0 } else { notable };
+            if status[g] != BELOW || importance[g] <= asked {
+                continue;
+            }
+            let leaves = Leaves::new(&triangles.leaves[g], Aim { axis: n, radius });
+            if parts {
+                irradiance.rows[g] = irradiance.leaves.len() as u16;
+                irradiance.leaves.push(LeafCounts::of(&leaves));
+            }
+            if importance[g] > notable {
                 importance[g] = sum(&leaves.irradiance);
                 let above = leaves.certain();
                 certain += above;
@@ -115,14 +129,6 @@ impl Kernel for Sweep<'_> {
             for g in 0..count {
                 let most = if status[g] == ABOVE { f32::MAX } else { certain };
                 importance[g] = if importance[g] < most { importance[g] } else { most };
-            }
-        }
-        if parts {
-            irradiance.rows.resize(count, 0);
-            irradiance.leaves.clear();
-            for g in (0..count).filter(|&g| status[g] != ABOVE && importance[g] > 0.0) {
-                irradiance.rows[g] = irradiance.leaves.len() as u16;
-                irradiance.leaves.push(LeafCounts::new(&triangles.leaves[g], Aim { axis: n, radius }));
             }
         }
     }

@@ -31,7 +31,12 @@ impl LeafCounts {
     /// By irradiance on surfaces with normals about `axis`.
     #[inline(always)]
     pub(super) fn new(leaves: &LeafMoments, aim: Aim) -> Self {
-        let of_group = Leaves::new(leaves, aim);
+        Self::of(&Leaves::new(leaves, aim))
+    }
+
+    /// By what the surfaces see of a group's leaves.
+    #[inline(always)]
+    pub(super) fn of(of_group: &Leaves) -> Self {
         let mut above = 0;
         for (i, &high) in of_group.above.iter().enumerate() {
             above |= u64::from(high > 0.0) << i;
