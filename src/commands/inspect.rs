@@ -43,7 +43,7 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     Estimate::default().dome(&args.dome, &params)?.within(&args.dome, rayon::current_num_threads(), there())?;
     let dome = Arc::new(dome::load::load(&args.dome, 0.0, 1.0)?);
     // With gloss, so that densities can be asked for.
-    let sampler = (plugin.make)(&dome, &params, &Setup { size: [64, 64], gloss: true, rays: 16 })?;
+    let sampler = (plugin.make)(&dome, &params, &Setup { size: [64, 64], gloss: true, rays: 16, spp: 16 })?;
     let stats = sampler.stats();
     print(args, &dome, &stats);
     if args.out_dir.is_some() {

@@ -62,7 +62,7 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     let dome = Arc::new(dome::load::load(&args.input.dome, args.input.dome_rotate, args.input.dome_scale)?);
     times.dome_s = clock.elapsed().as_secs_f64();
     args.say_dome(&dome);
-    let setup = Setup { size: settings.size, gloss: scene.needs.gloss, rays: settings.rays };
+    let setup = Setup { size: settings.size, gloss: scene.needs.gloss, rays: settings.rays, spp: settings.spp };
     let mut sampler = (make_sampler.make)(&dome, &sampler_params, &setup)?;
     times.prepare_s = sampler.stats().prepare_s;
 

@@ -262,6 +262,8 @@ pub struct Setup {
     pub gloss: bool,
     /// Directions asked for a point.
     pub rays: u32,
+    /// Points of a pixel, camera samples.
+    pub spp: u32,
 }
 
 /// Prepares a sampler for a dome.

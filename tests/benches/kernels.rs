@@ -63,7 +63,7 @@ fn samplers(c: &mut Criterion) {
     group.throughput(Throughput::Elements(DIRECTIONS.into()));
     for spec in SAMPLERS.iter().map(|plugin| plugin.name).chain(["tessellated:cache=off"]) {
         let (plugin, params) = resolve("sampler", SAMPLERS, spec).expect("a registered sampler");
-        let setup = Setup { size: [640, 480], gloss: false, rays: DIRECTIONS };
+        let setup = Setup { size: [640, 480], gloss: false, rays: DIRECTIONS, spp: 16 };
         let sampler = (plugin.make)(&dome, &params, &setup).expect("options by default");
         let (mut draws, mut i) = (Draws::default(), 0);
         group.bench_function(spec, |b| {

@@ -71,7 +71,7 @@ impl Stage {
     ) -> Picture {
         let dome = Arc::new(dome::load(dome, 0.0, 1.0).unwrap());
         let (make, params) = resolve("sampler", SAMPLERS, sampler).unwrap();
-        let setup = Setup { size: [side; 2], gloss: self.scene.needs.gloss, rays };
+        let setup = Setup { size: [side; 2], gloss: self.scene.needs.gloss, rays, spp };
         let mut sampler = (make.make)(&dome, &params, &setup).unwrap();
         let (make, params) = resolve("integrator", INTEGRATORS, "direct").unwrap();
         let direct = (make.make)(&params).unwrap();

@@ -65,7 +65,7 @@ fn a_render_goes_on_from_any_pass_as_if_it_had_never_stopped() {
     {
         let render = Render { settings: Settings { variance, camera_rays, ..settings }, ..render };
         let (plugin, params) = resolve("sampler", SAMPLERS, spec).unwrap();
-        let fresh = || (plugin.make)(&dome, &params, &Setup { size, gloss: true, rays: 4 }).unwrap();
+        let fresh = || (plugin.make)(&dome, &params, &Setup { size, gloss: true, rays: 4, spp: 14 }).unwrap();
         let identity = checkpoint::identity(&render, [&accel_params, &params, &integrator_params]);
         let path = |passes: u32| folder.path().join(passes.to_string());
         let mut sampler = fresh();

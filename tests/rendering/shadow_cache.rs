@@ -293,7 +293,7 @@ fn assert_same_films(parts: Vec<(Mesh, Material)>) {
         let shot = Shot { side: 128, tile, camera_rays: None, ..stage.shot(&dome, 12, 8) };
         // For this size: beyond the image it was made for, blocks would be shared by tiles.
         let (plugin, params) = resolve("sampler", SAMPLERS, "tessellated:groups=128,triangles=1024").unwrap();
-        let setup = Setup { size: [128; 2], gloss: stage.scene.needs.gloss, rays: 8 };
+        let setup = Setup { size: [128; 2], gloss: stage.scene.needs.gloss, rays: 8, spp: 12 };
         let mut sampler = (plugin.make)(&dome, &params, &setup).unwrap();
         let picture = pool.install(|| shot.take(sampler.as_mut(), 3));
         picture.film.pixels.iter().map(|p| p.sum.map(f64::to_bits)).collect::<Vec<_>>()

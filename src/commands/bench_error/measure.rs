@@ -43,7 +43,7 @@ pub(super) struct Shot {
 impl Bench {
     pub(super) fn shoot(&self, spec: &str, [spp, rays]: [u32; 2], seed: u32) -> Result<Shot> {
         let (plugin, params) = resolve("sampler", SAMPLERS, spec)?;
-        let setup = Setup { size: self.size, gloss: self.scene.needs.gloss, rays };
+        let setup = Setup { size: self.size, gloss: self.scene.needs.gloss, rays, spp };
         let (wall, begun) = (Instant::now(), cpu_s());
         let mut sampler = (plugin.make)(&self.dome, &params, &setup)?;
         let prepared = cpu_s();

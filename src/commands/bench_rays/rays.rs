@@ -84,7 +84,7 @@ impl Accel for Recorder<'_> {
 /// them depend on the answers.
 fn shadow_rays(scene: &Scene, accel: &dyn Accel, dome: &Arc<Dome>, side: u32) -> Result<Vec<Ray>> {
     let (plugin, params) = resolve("sampler", SAMPLERS, "tessellated:cache=off")?;
-    let setup = Setup { size: [side; 2], gloss: scene.needs.gloss, rays: GROUP };
+    let setup = Setup { size: [side; 2], gloss: scene.needs.gloss, rays: GROUP, spp: 1 };
     let mut sampler = (plugin.make)(dome, &params, &setup)?;
     let (plugin, params) = resolve("integrator", INTEGRATORS, "direct")?;
     let integrator = (plugin.make)(&params)?;

@@ -229,7 +229,7 @@ mod tests {
             let texels = (0..grid.len() as u32).map(|i| [light(i); 3]).collect();
             let dome = Arc::new(Dome { grid, texels, faults: Faults::default() });
             let (_, params) = resolve("sampler", &[PLUGIN], "tessellated:seed,triangles=100").unwrap();
-            let sampler = Seed::new(&dome, &params, &Setup { size: [64, 64], gloss: true, rays: 64 });
+            let sampler = Seed::new(&dome, &params, &Setup { size: [64, 64], gloss: true, rays: 64, spp: 1 });
             for ns in [Vec3::Y, Vec3::NEG_X, Vec3::new(0.48, -0.6, 0.64)] {
                 let mut drawn = vec![0.0; sampler.preconvolved.triangles.len()];
                 let mut draws = Draws::default();

@@ -57,7 +57,7 @@ pub(crate) fn sound() -> impl Iterator<Item = &'static str> {
 /// A sampler by its specification.
 pub(crate) fn sampler(spec: &str, dome: &Arc<Dome>, rays: u32) -> Box<dyn DomeSampler> {
     let (plugin, params) = resolve("sampler", SAMPLERS, spec).unwrap();
-    (plugin.make)(dome, &params, &Setup { size: [64, 64], gloss: true, rays }).unwrap()
+    (plugin.make)(dome, &params, &Setup { size: [64, 64], gloss: true, rays, spp: 16 }).unwrap()
 }
 
 /// A Lambertian point with normal `n`, with numbers of its own.
