@@ -197,9 +197,6 @@ impl Kernel for Aimed<'_> {
     }
 }
 
-/// The beginnings of as many groups as there usually are.
-type Usual = [[u32; GROUP_LANES]; 32];
-
 /// The row of a lane that count `at` falls to.
 #[inline(always)]
 fn search(begins: &[[u32; GROUP_LANES]], lane: usize, at: u32) -> usize {
@@ -212,13 +209,14 @@ fn search(begins: &[[u32; GROUP_LANES]], lane: usize, at: u32) -> usize {
     found
 }
 
-/// The same where the compiler knows all steps: a third of the instructions.
+/// The same in `ROWS` rows, a power of two: the compiler knows all steps, and makes a third of the instructions.
 #[inline(always)]
-fn search_usual(begins: &Usual, lane: usize, at: u32) -> usize {
-    let mut found = 0;
-    for step in [16, 8, 4, 2, 1] {
-        let next = found | step;
+fn search_in<const ROWS: usize>(begins: &[[u32; GROUP_LANES]; ROWS], lane: usize, at: u32) -> usize {
+    let (mut found, mut step) = (0, ROWS / 2);
+    while step > 0 {
+        let next = (found | step) % ROWS;
         found = select_unpredictable(begins[next][lane] <= at, next, found);
+        step /= 2;
     }
     found
 }
@@ -262,10 +260,16 @@ impl Block {
         }
         let (begins, _) = weights.begins.as_chunks::<GROUP_LANES>();
         let widths = &weights.widths[..begins.len() * GROUP_LANES];
-        let usual: Option<&Usual> = begins.try_into().ok();
+        // As many as there usually are.
+        let many: Option<&[_; 32]> = begins.try_into().ok();
+        let few: Option<&[_; 16]> = begins.try_into().ok();
         for i in 0..count {
             let (at, lane) = (at[i], lane[i] as usize % GROUP_LANES);
-            let found = usual.map_or_else(|| search(begins, lane, at), |begins| search_usual(begins, lane, at));
+            let found = match (many, few) {
+                (Some(begins), _) => search_in(begins, lane, at),
+                (_, Some(begins)) => search_in(begins, lane, at),
+                _ => search(begins, lane, at),
+            };
             let group = found * GROUP_LANES + lane;
             (row[i], offset[i], width[i]) = (group as u32, at - begins[found][lane], widths[group]);
         }
