@@ -91,7 +91,7 @@ pub const PLUGIN: Plugin<MakeSampler> = Plugin {
         Opt {
             key: "cache-block",
             kind: Kind::Integer(1, 256),
-            default: "4",
+            default: "auto",
             about: "least side of a cache block, pixels",
         },
     ],
@@ -108,10 +108,16 @@ fn make(dome: &Arc<Dome>, params: &Params, setup: &Setup) -> Result<Box<dyn Dome
     Ok(Box::new(Seed::new(dome, params, setup)))
 }
 
+/// Directions asked for a pixel.
+fn rays_a_pixel(setup: &Setup) -> u64 {
+    u64::from(setup.rays) * u64::from(setup.spp)
+}
+
 /// A cache as the options ask for it.
 fn shadow_cache(params: &Params, setup: &Setup, groups: usize) -> ShadowCache {
     let budget = params.integer("cache-mb").expect("the option has a default") << 20;
-    let least = params.integer("cache-block").expect("the option has a default") as u32;
+    let many = rays_a_pixel(setup) > BLOCK_RAYS;
+    let least = params.integer("cache-block").map_or(if many { 4 } else { 8 }, |side| side as u32);
     ShadowCache::new(setup.size, groups, budget, least)
 }
 
@@ -139,6 +145,9 @@ const FEW_GROUPS: u64 = 256;
 
 /// So many rays a pixel are few.
 const FEW_RAYS: u64 = 16;
+
+/// From more rays a pixel than these on, small blocks of the cache have enough to say for themselves.
+const BLOCK_RAYS: u64 = 64;
 
 /// Cells of normals where nothing is said.
 const NORMALS: u64 = 2304;
@@ -175,7 +184,7 @@ impl Tessellated {
         let cached = params.switch("cache") && is_tame(dome);
         let rays = u64::from(setup.rays);
         let affordable = match cached {
-            true if rays * u64::from(setup.spp) <= FEW_RAYS => FEW_GROUPS,
+            true if rays_a_pixel(setup) <= FEW_RAYS => FEW_GROUPS,
             true => GROUPS,
             false => (16 * rays).next_power_of_two().clamp(128, 512),
         };
