@@ -126,7 +126,7 @@ pub struct AovSample {
 pub struct Pixel {
     /// Σ (R, G, B, A) of the camera samples.
     pub sum: [f64; 4],
-    /// Σ of the samples' weights: their number, where each weighs 1.
+    /// Σ of the samples' weights: their number, where each weighs 1 (however many camera rays it has).
     pub samples: f64,
 }
 

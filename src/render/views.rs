@@ -3,8 +3,9 @@
 //! A sample errs by where in the pixel it looks (what is expected, C, differs from place to place) and by what its shadow
 //! rays bring beside that (I − C). Further camera rays cost little and see C alone. With W the variance of C between the
 //! camera rays of a pixel, R the mean of (I − C)² and a sample's shadow rays at the price of a camera rays, n of these leave
-//! an error of R + W/n for a price of a + n: the product is least at n² = a W/R. Both are measured where the last learning
-//! stage goes by: not in the pixels that go by them, whose mean stays what it is.
+//! an error of R + W/n for a price of a + n: the product is least at n² = a W/R. Both are measured by the learning stages in
+//! between (`schedule`), before the samples that go by them are taken: how many camera rays these have depends on nothing
+//! that they see, and whatever their number, each sample weighs the same in its pixel.
 //!
 //! Sums are integers, so that they are the same in whatever order tiles and threads add to them.
 
@@ -17,7 +18,8 @@ const REGION: u32 = 32;
 /// Camera rays for each camera sample, at most.
 const MOST: u32 = 16;
 
-/// The price of a shadow ray, and of what else a shaded sample costs, in camera rays.
+/// The price of a shadow ray, and of what else a shaded sample costs, in camera rays. (By the clock it is 1.3 and 3; but W/n
+/// falls faster than that where the n places are stratified.)
 const RAY: f64 = 2.0;
 const POINT: f64 = 4.0;
 
