@@ -49,14 +49,6 @@ impl Vectors {
         }
     }
 
-    /// Adds some, given by their components.
-    #[inline(always)]
-    pub fn extend(&mut self, rows: [&[f32]; 3]) {
-        for (row, more) in self.rows.iter_mut().zip(rows) {
-            row.extend_from_slice(more);
-        }
-    }
-
     /// Adds `count` zeros or takes all beyond `count` away; the components from `first` on.
     #[inline(always)]
     pub fn resize(&mut self, count: usize, first: usize) -> [&mut [f32]; 3] {
@@ -67,12 +59,18 @@ impl Vectors {
         })
     }
 
-    /// Adds so many, all of them known to be there: no loop, no call.
+    /// Adds so many, given by their components.
     #[inline(always)]
-    pub fn extend_by<const N: usize>(&mut self, rows: &[[f32; N]; 3]) {
+    pub fn extend<const N: usize>(&mut self, rows: &[[f32; N]; 3]) {
         for (row, more) in self.rows.iter_mut().zip(rows) {
             row.extend_from_slice(more);
         }
+    }
+
+    /// Takes away all beyond `count`.
+    #[inline(always)]
+    pub fn truncate(&mut self, count: usize) {
+        self.rows.iter_mut().for_each(|row| row.truncate(count));
     }
 
     /// Moves the vector at `from` to `to`.

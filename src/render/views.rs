@@ -18,8 +18,8 @@ const REGION: u32 = 32;
 /// Camera rays for each camera sample, at most.
 const MOST: u32 = 16;
 
-/// The price of a shadow ray, and of what else a shaded sample costs, in camera rays. (By the clock it is 1.3 and 3; but W/n
-/// falls faster than that where the n places are stratified.)
+/// The price of a shadow ray, and of what else a shaded sample costs, in camera rays. (By the clock it is 1.3 and 3. Somewhat
+/// more paid better where it was measured: R is seen while the cache knows less than it will.)
 const RAY: f64 = 2.0;
 const POINT: f64 = 4.0;
 
@@ -53,12 +53,13 @@ impl Views {
         let count = expected.len() as f32;
         let mean = expected.iter().sum::<f32>() / count;
         let light = expected.iter().map(|c| c * c).sum::<f32>() / count + known * known;
-        if count < 2.0 || light.is_nan() || light <= 0.0 {
+        if count < 2.0 {
             return;
         }
         let between = expected.iter().map(|c| (c - mean) * (c - mean)).sum::<f32>() / (count - 1.0);
         let beside = (known - expected[0]) * (known - expected[0]);
         for (sum, square) in self.sums[self.region(pixel)].iter().zip([between, beside]) {
+            // What is no number, as without light, counts nothing.
             sum.fetch_add((square / light * ONE) as u64, Relaxed);
         }
     }

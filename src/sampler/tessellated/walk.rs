@@ -109,10 +109,9 @@ impl Tessellated {
         self.descend((weights, leaves), &asked, begun.stage, [&mut first[slot], rest], |block| {
             lists.add(block);
             if record.is_some() {
-                match block.count {
-                    BLOCK => control.extend_from_slice(&block.factor),
-                    count => control.extend_from_slice(&block.factor[..count]),
-                }
+                let end = control.len() + block.count;
+                control.extend_from_slice(&block.factor);
+                control.truncate(end);
             }
         });
     }
@@ -174,22 +173,19 @@ struct Lists<'a> {
 impl Lists<'_> {
     #[inline]
     fn add(&mut self, block: &Block) {
-        let count = block.count;
-        let targets = block.group.map(|group| if self.target == NO_TARGET { NO_TARGET } else { self.target + group });
-        if count == BLOCK {
-            self.dir.extend_by(&block.dir);
-            self.radiance.extend_by(&block.radiance);
-            self.pdf.extend_from_slice(&block.pdf);
-            if self.learns {
-                self.targets.extend_from_slice(&targets);
-            }
-        } else {
-            self.dir.extend(block.dir.each_ref().map(|row| &row[..count]));
-            self.radiance.extend(block.radiance.each_ref().map(|row| &row[..count]));
-            self.pdf.extend_from_slice(&block.pdf[..count]);
-            if self.learns {
-                self.targets.extend_from_slice(&targets[..count]);
-            }
+        // Whole blocks, whose copies need no call, less what does not count.
+        let end = self.dir.len() + block.count;
+        self.dir.extend(&block.dir);
+        self.dir.truncate(end);
+        self.radiance.extend(&block.radiance);
+        self.radiance.truncate(end);
+        self.pdf.extend_from_slice(&block.pdf);
+        self.pdf.truncate(end);
+        if self.learns {
+            let none = self.target == NO_TARGET;
+            self.targets
+                .extend_from_slice(&block.group.map(|group| if none { NO_TARGET } else { self.target + group }));
+            self.targets.truncate(end);
         }
     }
 }
