@@ -3,9 +3,11 @@
 //! A sample belongs to one pixel: filters are drawn from, not splatted (filter importance sampling, Ernst et al. 2006),
 //! so that tiles and crops never share pixels and an image does not depend on how it was cut up.
 
+mod part;
 pub mod replicates;
 
 use glam::Vec3;
+pub use part::Part;
 use replicates::Replicates;
 use std::io::{self, Read, Write};
 
@@ -151,56 +153,6 @@ impl Film {
         let count = size[0] as usize * size[1] as usize;
         let aovs = if aovs { vec![[0.0; 12]; count] } else { Vec::new() };
         Self { offset, size, pixels: vec![Pixel::default(); count], aovs, replicates: Replicates::default() }
-    }
-
-    /// Makes all sums zero.
-    pub fn clear(&mut self) {
-        self.pixels.fill(Pixel::default());
-        self.aovs.fill([0.0; 12]);
-    }
-
-    /// The index of a pixel of the full image.
-    pub fn index(&self, [x, y]: [u32; 2]) -> usize {
-        (y - self.offset[1]) as usize * self.size[0] as usize + (x - self.offset[0]) as usize
-    }
-
-    /// Adds a sample of some weight to the pixel at `index`. The caller has dropped non-finite ones.
-    pub fn add(&mut self, index: usize, sample: &Sample, weight: f32) {
-        let weight = f64::from(weight);
-        let pixel = &mut self.pixels[index];
-        let values = [sample.radiance.x, sample.radiance.y, sample.radiance.z, sample.alpha];
-        for (sum, value) in pixel.sum.iter_mut().zip(values) {
-            *sum += weight * f64::from(value);
-        }
-        pixel.samples += weight;
-        if let (Some(sums), Some(aovs)) = (self.aovs.get_mut(index), &sample.aovs) {
-            let [a, n, p] = [aovs.albedo, aovs.normal, aovs.position].map(|v| v.to_array());
-            let values =
-                [a[0], a[1], a[2], n[0], n[1], n[2], aovs.depth, p[0], p[1], p[2], aovs.light[0], aovs.light[1]];
-            for (sum, value) in sums.iter_mut().zip(values) {
-                *sum += weight * f64::from(value);
-            }
-        }
-    }
-
-    /// Adds a smaller film that lies within this one.
-    pub fn merge(&mut self, tile: &Self) {
-        for y in 0..tile.size[1] {
-            let from = y as usize * tile.size[0] as usize;
-            let to = self.index([tile.offset[0], tile.offset[1] + y]);
-            for i in 0..tile.size[0] as usize {
-                let (own, other) = (&mut self.pixels[to + i], &tile.pixels[from + i]);
-                for (sum, value) in own.sum.iter_mut().zip(other.sum) {
-                    *sum += value;
-                }
-                own.samples += other.samples;
-                if !tile.aovs.is_empty() {
-                    for (sum, value) in self.aovs[to + i].iter_mut().zip(tile.aovs[from + i]) {
-                        *sum += value;
-                    }
-                }
-            }
-        }
     }
 
     /// Writes the sums, for a checkpoint.

@@ -4,7 +4,7 @@
 //! C, and the shaded ones how it is wrong, I − C. The mean of C over all and of I − C over the shaded is unbiased whatever C
 //! is, and edges, textures and bumps inside a pixel are seen by cheap rays ([`Integrator::expected`]).
 //!
-//! Tiles are independent: their queues of shadow rays, their films and the blocks of the shadow cache are their own.
+//! Tiles are independent: their queues of shadow rays, their parts of the film and the blocks of the shadow cache are their own.
 
 mod flush;
 mod schedule;
@@ -13,7 +13,7 @@ mod views;
 use crate::accel::{Accel, Hit, Ray};
 use crate::dome::Dome;
 use crate::film::replicates::Replicates;
-use crate::film::{AovSample, Film, Filter, Sample};
+use crate::film::{AovSample, Film, Filter, Part, Sample};
 use crate::integrator::visibility::{self, nearest};
 use crate::integrator::{Integrator, Queue, Shading, World};
 use crate::random;
@@ -210,8 +210,6 @@ impl Render<'_> {
         let work: f64 = passes.iter().map(Pass::work).sum();
         let (past, ahead) = passes.split_at(passes.len().min(state.passes as usize));
         let mut done: f64 = past.iter().map(Pass::work).sum();
-        let of_tile = |&[x, y, width, height]: &[u32; 4]| Film::new([x, y], [width, height], self.settings.aovs);
-        let mut films: Vec<Film> = tiles.iter().map(of_tile).collect();
         for pass in ahead {
             state.seconds = before + start.elapsed().as_secs_f64();
             // Without a first sample everywhere there is no picture: the learning stages always finish.
@@ -227,20 +225,20 @@ impl Render<'_> {
             }
             let finished = AtomicU64::new(0);
             let world = World { scene: self.scene, accel: self.accel, dome: self.dome, sampler: &*sampler };
-            let counts: Vec<Counts> = tiles
-                .par_iter()
-                .zip(&mut films)
-                .map_init(Scratch::default, |scratch, (tile, film)| {
-                    film.clear();
-                    let counts = self.tile(&world, (pass, &state.views), *tile, film, scratch);
+            let Picture { film, counts, .. } = &mut state.picture;
+            let of_tiles: Vec<Counts> = film
+                .parts(&tiles)
+                .into_par_iter()
+                .zip(&tiles)
+                .map_init(Scratch::default, |scratch, (mut film, tile)| {
+                    let counts = self.tile(&world, (pass, &state.views), *tile, &mut film, scratch);
                     let share = (finished.fetch_add(1, Relaxed) + 1) as f64 / tiles.len() as f64;
                     (watch.progress)((done + share * pass.work()) / work);
                     counts
                 })
                 .collect();
-            for (tile, tile_counts) in films.iter().zip(&counts) {
-                state.picture.film.merge(tile);
-                state.picture.counts.add(tile_counts);
+            for of_tile in &of_tiles {
+                counts.add(of_tile);
             }
             // What nobody goes by need not be worked out.
             if pass.ends_stage && state.passes + 1 < passes.len() as u32 {
@@ -278,7 +276,7 @@ impl Render<'_> {
         world: &World<'_>,
         (pass, seen): (&Pass, &Views),
         [x, y, width, height]: [u32; 4],
-        film: &mut Film,
+        film: &mut Part<'_>,
         s: &mut Scratch,
     ) -> Counts {
         let mut counts = Counts::default();
@@ -322,7 +320,7 @@ impl Render<'_> {
         world: &World<'_>,
         (pass, seen): (&Pass, &Views),
         s: &mut Scratch,
-        film: &mut Film,
+        film: &mut Part<'_>,
         counts: &mut Counts,
     ) {
         s.rays.clear();
@@ -381,7 +379,7 @@ impl Render<'_> {
         }
         for (&CameraSample { pixel, numbers, views, .. }, value) in s.cameras.iter().zip(&s.samples) {
             if value.radiance.is_finite() {
-                film.add(film.index(pixel), value, pass.weight / views as f32);
+                film.add(pixel, value, pass.weight / views as f32);
             } else {
                 counts.dropped += 1;
                 counts.dropped_at.get_or_insert([pixel[0], pixel[1], numbers.sample]);
