@@ -65,3 +65,29 @@ impl Part<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::film::{Aov, AovSample};
+    use glam::Vec3;
+
+    #[test]
+    fn parts_add_to_the_film_where_they_lie() {
+        for aovs in [false, true] {
+            let mut film = Film::new([3, 5], [5, 3], aovs);
+            let windows = [[3, 5, 2, 2], [5, 5, 3, 2], [3, 7, 2, 1], [5, 7, 3, 1]];
+            for (part, [x, y, width, height]) in film.parts(&windows).iter_mut().zip(windows) {
+                for (x, y) in (x..x + width).flat_map(|x| (y..y + height).map(move |y| (x, y))) {
+                    let depth = (10 * x + y) as f32;
+                    let layers = aovs.then_some(AovSample { depth, ..AovSample::default() });
+                    part.add([x, y], &Sample { radiance: Vec3::splat(depth), alpha: 1.0, aovs: layers }, 1.0);
+                }
+            }
+            let expected: Vec<f32> = (5..8).flat_map(|y| (3..8).map(move |x| (10 * x + y) as f32)).collect();
+            let red: Vec<f32> = film.rgba().into_iter().step_by(4).collect();
+            assert_eq!(red, expected);
+            assert_eq!(film.layer(Aov::Depth), if aovs { expected } else { Vec::new() });
+        }
+    }
+}

@@ -71,7 +71,7 @@ mod tests {
         for pair in [[1.0, 3.0], [4.0, 4.0], [5.0, 7.0]] {
             for value in pair {
                 let sample = Sample { radiance: Vec3::new(value, 1.0, 0.0), alpha: 1.0, aovs: None };
-                film.add(0, &sample, 1.0);
+                film.parts(&[[0, 0, 1, 1]])[0].add([0, 0], &sample, 1.0);
             }
             film.close_replicate();
         }

@@ -1,8 +1,8 @@
 //! Which camera samples are taken when.
 //!
 //! A pass takes some camera samples of some pixels. Without a learning sampler passes only cut the work up. With one,
-//! the first camera samples come in four *stages*, each a lattice of pixels: every 64th pixel, every 16th, every 4th, the
-//! rest; after each stage the sampler goes by what was seen so far. A pixel's own samples therefore never depend on
+//! the first camera samples come in seven *stages*: every 64th pixel, then every time as many pixels as before, spread
+//! evenly among them; after each stage the sampler goes by what was seen so far. A pixel's own samples therefore never depend on
 //! what they saw themselves, all of them form one stratified set, and the image is unbiased in the strict sense. The first
 //! stage knows nothing: it has numbers of its own, its samples weigh little in the image, and its pixels have all their
 //! samples in the last stage. Later samples are one more stage with numbers of their own. Where variances are asked for,
@@ -10,40 +10,61 @@
 
 use super::Settings;
 
-/// Which pixels a pass takes: one in `step` each way, but not those of the lattice of `taken` steps, unless they are of the
-/// first stage's and it `returns` to them.
+/// Which pixels a pass takes: those of some ranks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Lattice {
-    step: u32,
-    taken: u32,
+    from: u32,
+    to: u32,
+    /// Whether it takes those of the first stage, too.
     returns: bool,
 }
 
-/// The first stage's lattice.
-const FIRST: u32 = 8;
+/// Ranks there are.
+const RANKS: u32 = 64;
+
+/// A pixel's place in an order of squares of 8 × 8 pixels in which each beginning of 2ⁿ is a lattice (Bayer 1973).
+fn rank(x: u32, y: u32) -> u32 {
+    const SIDE: usize = 8;
+    const OF: [[u8; SIDE]; SIDE] = {
+        let mut of = [[0; SIDE]; SIDE];
+        let mut at = 0;
+        while at < SIDE * SIDE {
+            // The first one is not at the edge of the image, where there are fewer around it.
+            let (x, y) = (at % SIDE + 3, at / SIDE + 3);
+            let mut bit = 0;
+            while bit < 3 {
+                let pair = ((x ^ y) >> bit & 1) << 1 | (y >> bit & 1);
+                of[at / SIDE][at % SIDE] |= (pair as u8) << (4 - 2 * bit);
+                bit += 1;
+            }
+            at += 1;
+        }
+        of
+    };
+    u32::from(OF[y as usize % SIDE][x as usize % SIDE])
+}
 
 impl Lattice {
-    const ALL: Self = Self { step: 1, taken: 0, returns: false };
+    const ALL: Self = Self { from: 0, to: RANKS, returns: false };
 
-    /// The learning stages: each four times as many pixels as all before. The first ones know nothing, so they are few.
-    const STAGES: [Self; 4] = [
-        Self { step: FIRST, taken: 0, returns: false },
-        Self { step: 4, taken: FIRST, returns: false },
-        Self { step: 2, taken: 4, returns: false },
-        Self { step: 1, taken: 2, returns: true },
-    ];
+    /// The learning stages.
+    fn stages() -> impl Iterator<Item = Self> {
+        let until = (0..=RANKS.ilog2()).map(|stage| 1 << stage);
+        until.map(|to| Self { from: if to == 1 { 0 } else { to / 2 }, to, returns: to == RANKS })
+    }
+
+    fn is_first(self) -> bool {
+        self.to == 1
+    }
 
     pub(super) fn takes(self, x: u32, y: u32) -> bool {
-        // Lattices lie in each other: what is 5 modulo 8 is 1 modulo 4.
-        let on = |step: u32| x % step == 5 % step && y % step == 5 % step;
-        on(self.step) && (self.taken == 0 || !on(self.taken) || self.returns && on(FIRST))
+        let rank = rank(x, y);
+        (self.from..self.to).contains(&rank) || self.returns && rank == 0
     }
 
     /// The share of the pixels.
     fn share(self) -> f64 {
-        let one_in = |step: u32| 1.0 / f64::from(step * step);
-        let taken = if self.taken == 0 { 0.0 } else { one_in(self.taken) };
-        one_in(self.step) - taken + if self.returns { one_in(FIRST) } else { 0.0 }
+        f64::from(self.to - self.from + u32::from(self.returns)) / f64::from(RANKS)
     }
 }
 
@@ -111,22 +132,22 @@ pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
     let mut done = 0;
     if learns {
         let count = each.min(LEARNING);
-        passes.extend(Lattice::STAGES.map(|lattice| Pass {
+        passes.extend(Lattice::stages().map(|lattice| Pass {
             lattice,
             first: 0,
             count,
-            weight: if lattice.step == FIRST { LOOK } else { 1.0 },
-            sequence: if lattice.step == FIRST { u32::MAX } else { 0 },
+            weight: if lattice.is_first() { LOOK } else { 1.0 },
+            sequence: if lattice.is_first() { u32::MAX } else { 0 },
             replicate: 0,
             before: 0,
-            // The first stage knows nothing yet to go by, the last leaves nothing to go by it.
-            looks: match lattice.step {
-                4 => Looks { least: 4, about: true },
-                2 => Looks { least: 2, about: true },
+            // The first stage knows nothing yet to go by; where most pixels are still to come it pays to look about.
+            looks: match lattice.to {
+                2..=4 => Looks { least: 4, about: true },
+                8..=16 => Looks { least: 2, about: true },
                 _ => Looks::BY_WHAT_WAS_SEEN,
             },
             ends_stage: true,
-            spp_after: if lattice.step == 1 { count } else { 0 },
+            spp_after: if lattice.returns { count } else { 0 },
         }));
         done = count;
     }
@@ -158,6 +179,21 @@ mod tests {
     use super::*;
     use crate::film::Filter;
     use crate::render::Background;
+
+    /// After any stage every square that should hold one of the pixels taken so far does; where none could be one, every upright half.
+    #[test]
+    fn stages_are_spread_evenly() {
+        for stage in Lattice::stages().filter(|stage| !stage.is_first()) {
+            let taken = |x: u32, y: u32| rank(x, y) < stage.to;
+            let side = 8 >> (stage.to.ilog2() / 2);
+            let wide = if stage.to.ilog2().is_multiple_of(2) { side } else { side / 2 };
+            for (x, y) in (0..8).step_by(wide as usize).flat_map(|x| (0..8).step_by(side as usize).map(move |y| (x, y)))
+            {
+                let inside = (x..x + wide).flat_map(|x| (y..y + side).map(move |y| (x, y)));
+                assert_eq!(inside.filter(|&(x, y)| taken(x, y)).count(), 1, "{stage:?} at {x}, {y}");
+            }
+        }
+    }
 
     /// What the first stage takes beside, and what each pass says of its work.
     #[test]

@@ -12,7 +12,7 @@ mod posterior;
 
 use super::preconvolution::GROUP_LANES;
 use glam::Vec3;
-use posterior::{Member, Posterior, REGION};
+use posterior::{Member, Posterior, REGION, Taken};
 use rayon::prelude::*;
 use std::io::{self, Read, Write};
 use std::sync::atomic::{AtomicU16, AtomicU32, AtomicU64, Ordering::Relaxed};
@@ -52,6 +52,8 @@ pub struct ShadowCache {
     visibility: Vec<u8>,
     /// Which slots `visibility` speaks of.
     frozen: Vec<u32>,
+    /// The slot whose `visibility` speaks for each of them.
+    speaker: Vec<u32>,
     lookups: AtomicU64,
     hits: AtomicU64,
 }
@@ -65,12 +67,23 @@ pub struct Record<'a> {
     pub visibility: &'a [u8],
 }
 
+/// The place along the Z-curve of the square in a column and row, 65 536 each at most.
+fn along_curve(square: [u32; 2]) -> u32 {
+    // Each step moves the upper half of every group of bits up by as many as a group's half has.
+    let [x, y] = square.map(|bits| {
+        [(8, 0x00ff_00ff), (4, 0x0f0f_0f0f), (2, 0x3333_3333), (1, 0x5555_5555)]
+            .iter()
+            .fold(bits & 0xffff, |bits, &(by, kept)| (bits | bits << by) & kept)
+    });
+    x | y << 1
+}
+
 impl ShadowCache {
     /// A cache for an image of `size` pixels and `groups` groups (in [`GROUP_LANES`] lanes) within `budget` bytes.
     /// The block's side follows from the budget; at least `least` pixels.
     pub fn new(size: [u32; 2], groups: usize, budget: u64, least: u32) -> Self {
         debug_assert!(groups.is_multiple_of(GROUP_LANES));
-        let bytes_a_block = (SLOTS * (groups * 3 + 8 + EXPECTED_BYTES)) as u64;
+        let bytes_a_block = (SLOTS * (groups * 3 + 12 + EXPECTED_BYTES)) as u64;
         let mut block = least.max(1);
         let blocks_of = |block: u32| size.map(|side| side.div_ceil(block).max(1));
         while blocks_of(block).map(u64::from).iter().product::<u64>() * bytes_a_block > budget && block < 4096 {
@@ -86,6 +99,7 @@ impl ShadowCache {
             counts: bytemuck::zeroed_vec(slots * groups),
             visibility: vec![0; slots * groups],
             frozen: vec![0; slots],
+            speaker: vec![0; slots],
             lookups: AtomicU64::new(0),
             hits: AtomicU64::new(0),
         }
@@ -135,7 +149,7 @@ impl ShadowCache {
         let moved = self.moved(pixel, jitter);
         let own = self.moved(pixel, [0.0; 2]);
         let found = self.nearest(moved, key).or_else(|| self.nearest(own, key));
-        found.or_else(|| self.near_by(own, key)).map(|slot| slot as u32)
+        found.or_else(|| self.near_by(own, key)).map(|slot| self.speaker[slot])
     }
 
     /// The block that a look-up falls to.
@@ -145,10 +159,10 @@ impl ShadowCache {
         self.block_of(x, y)
     }
 
-    /// The number of the block that a look-up falls to.
+    /// The place along the Z-curve of the block that a look-up falls to: squares of blocks may share what they are taken for.
     pub fn place(&self, pixel: [u32; 2], jitter: [f32; 2]) -> u32 {
         let [x, y] = self.moved(pixel, jitter);
-        y as u32 * self.blocks[0] + x as u32
+        along_curve([x as u32, y as u32])
     }
 
     /// A record of the kind in the rings of blocks around one, the nearest first.
@@ -221,7 +235,7 @@ impl ShadowCache {
 
     /// Turns what was counted into what is looked up.
     pub fn freeze(&mut self) {
-        let Self { keys, counts, visibility, frozen, groups, blocks, .. } = self;
+        let Self { keys, counts, visibility, frozen, speaker, groups, blocks, .. } = self;
         let groups = *groups;
         for (frozen, key) in frozen.iter_mut().zip(keys.iter()) {
             *frozen = key.load(Relaxed);
@@ -230,10 +244,11 @@ impl ShadowCache {
         // Rows of blocks, so that regions are pieces of them side by side.
         let row = blocks[0] as usize;
         let rows = row * SLOTS * REGION;
-        let pieces = visibility.par_chunks_mut(rows * groups).zip(counts.par_chunks_mut(rows * groups));
+        let taken = visibility.par_chunks_mut(rows * groups).zip(speaker.par_chunks_mut(rows));
+        let pieces = taken.zip(counts.par_chunks_mut(rows * groups));
         pieces.enumerate().for_each_init(
             || Posterior::new(groups),
-            |posterior, (y, (visibility, counts))| {
+            |posterior, (y, ((visibility, speaker), counts))| {
                 let first = y * rows;
                 let count = visibility.len() / groups;
                 for x in (0..row).step_by(REGION) {
@@ -246,7 +261,7 @@ impl ShadowCache {
                     members.sort_unstable();
                     for alike in members.chunk_by(|a, b| a.0 == b.0) {
                         let alike: Vec<Member> = alike.iter().map(|&(_, member)| member).collect();
-                        posterior.of(&alike, counts, visibility);
+                        posterior.of(&alike, counts, Taken { visibility, speaker, first: first as u32 });
                     }
                 }
             },
@@ -255,7 +270,7 @@ impl ShadowCache {
 
     /// Writes all that was counted and frozen, for a checkpoint.
     pub fn save(&self, out: &mut dyn Write) -> io::Result<()> {
-        let Self { groups: _, block: _, blocks: _, keys, counts, visibility, frozen, lookups, hits } = self;
+        let Self { groups: _, block: _, blocks: _, keys, counts, visibility, frozen, speaker, lookups, hits } = self;
         for tally in [lookups, hits] {
             out.write_all(&tally.load(Relaxed).to_ne_bytes())?;
         }
@@ -266,6 +281,7 @@ impl ShadowCache {
             out.write_all(&count.load(Relaxed).to_ne_bytes())?;
         }
         out.write_all(bytemuck::cast_slice(frozen))?;
+        out.write_all(bytemuck::cast_slice(speaker))?;
         out.write_all(visibility)
     }
 
@@ -281,13 +297,14 @@ impl ShadowCache {
             input.read_exact(bytemuck::bytes_of_mut(count.get_mut()))?;
         }
         input.read_exact(bytemuck::cast_slice_mut(&mut self.frozen))?;
+        input.read_exact(bytemuck::cast_slice_mut(&mut self.speaker))?;
         input.read_exact(&mut self.visibility)
     }
 
     /// Records, bytes, hit rate.
     pub fn stats(&self) -> (u64, u64, f64) {
         let records = self.keys.iter().filter(|key| key.load(Relaxed) != 0).count() as u64;
-        let bytes = records * (self.groups as u64 * 3) + (self.keys.len() * (8 + EXPECTED_BYTES)) as u64;
+        let bytes = records * (self.groups as u64 * 3) + (self.keys.len() * (12 + EXPECTED_BYTES)) as u64;
         let lookups = self.lookups.load(Relaxed).max(1);
         (records, bytes, self.hits.load(Relaxed) as f64 / lookups as f64)
     }

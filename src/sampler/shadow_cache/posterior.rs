@@ -6,6 +6,7 @@
 //! Where a whole neighbourhood of the dome is seen better or worse from the small square than from the large one,
 //! an occluder's edge lies between them: the prior of all its groups moves with it.
 
+use super::along_curve;
 use crate::sampler::preconvolution::GROUP_LANES;
 use crate::simd::{Kernel, dispatch};
 use std::sync::atomic::AtomicU16;
@@ -25,6 +26,10 @@ const AROUND: f32 = 32.0;
 /// The weight of no change at all of a neighbourhood, in the rays' information Σ m (1 − m).
 const STILL: f32 = 4.0;
 
+/// The rays a group that a square has seen before its parts are told apart: until then each would be weighed by itself, and
+/// there is nothing to gain from it.
+const TELLING: f32 = 0.5;
+
 /// Groups next to each other on the curve that are a neighbourhood.
 const NEIGHBOURS: usize = 8;
 
@@ -39,11 +44,18 @@ pub(super) struct Member {
 impl Member {
     /// The record in `slot` of a block so many blocks right of and below the region's first.
     pub(super) fn new(right: usize, below: usize, slot: usize) -> Self {
-        let place = (0..DEPTH)
-            .map(|bit| ((right >> bit & 1) << (2 * bit)) | ((below >> bit & 1) << (2 * bit + 1)))
-            .sum::<usize>();
-        Self { place: place as u32, slot }
+        Self { place: along_curve([right as u32, below as u32]), slot }
     }
+}
+
+/// What records are taken for.
+#[derive(Debug)]
+pub(super) struct Taken<'a> {
+    /// m in 255ths, slot by slot.
+    pub(super) visibility: &'a mut [u8],
+    /// The slot whose m speaks for each slot, counted from `first` on.
+    pub(super) speaker: &'a mut [u32],
+    pub(super) first: u32,
 }
 
 /// A square of the pyramid: what its records have seen together and what they are taken for, by group.
@@ -84,13 +96,13 @@ impl Posterior {
         Self { groups, sums, squares: (0..=DEPTH).map(|_| square()).collect() }
     }
 
-    /// Takes the records of one kind in a region, in the order of their places, for what `counts` say: `visibility`, in 255ths.
-    pub(super) fn of(&mut self, members: &[Member], counts: &mut [AtomicU16], visibility: &mut [u8]) {
+    /// Takes the records of one kind in a region, in the order of their places, for what `counts` say.
+    pub(super) fn of(&mut self, members: &[Member], counts: &mut [AtomicU16], mut taken: Taken<'_>) {
         let Self { groups, sums, squares } = self;
         add_up(sums, members, counts, *groups);
         squares[0].load(members, DEPTH, sums, counts);
         squares[0].sum_up();
-        descend(squares, members, DEPTH, (sums, counts), visibility);
+        descend(squares, members, DEPTH, (sums, counts), &mut taken);
     }
 }
 
@@ -122,16 +134,18 @@ fn descend(
     members: &[Member],
     depth: u32,
     (sums, counts): (&[Vec<Sum>], &mut [AtomicU16]),
-    visibility: &mut [u8],
+    taken: &mut Taken<'_>,
 ) {
     let [around, inner @ ..] = squares else { return };
     let groups = around.visibility.len();
     // No light at all, and not in one block alone: as far as anyone knows it is dark here, and the estimate exactly so.
     let dark = depth > 0 && around.is_dark();
-    if dark || depth == 0 {
+    if dark || depth == 0 || around.rays.iter().sum::<f32>() < TELLING * groups as f32 {
+        let speaks = members[0].slot;
+        let m = &mut taken.visibility[speaks * groups..][..groups];
+        dispatch(Write { visibility: &around.visibility, m, dark });
         for member in members {
-            let m = &mut visibility[member.slot * groups..][..groups];
-            dispatch(Write { visibility: &around.visibility, m, dark });
+            taken.speaker[member.slot] = taken.first + speaks as u32;
         }
         return;
     }
@@ -143,7 +157,7 @@ fn descend(
             inner[0].load(part, depth - 1, sums, counts);
             dispatch(Refine { square: &mut inner[0], prior: &around.visibility });
         }
-        descend(inner, part, depth - 1, (sums, counts), visibility);
+        descend(inner, part, depth - 1, (sums, counts), taken);
     }
 }
 
@@ -355,9 +369,10 @@ mod tests {
             AtomicU16::new(rays << 8 | seen)
         };
         let mut counts: Vec<AtomicU16> = blocks().flat_map(of_block).map(count).collect();
-        let mut visibility = vec![0; counts.len()];
-        by.of(&members, &mut counts, &mut visibility);
-        visibility.as_chunks().0.to_vec()
+        let (mut visibility, mut speaker) = (vec![0; counts.len()], vec![0; members.len()]);
+        by.of(&members, &mut counts, Taken { visibility: &mut visibility, speaker: &mut speaker, first: 0 });
+        let by_slot: &[[u8; GROUPS]] = visibility.as_chunks().0;
+        speaker.iter().map(|&slot| by_slot[slot as usize]).collect()
     }
 
     #[test]
@@ -376,6 +391,17 @@ mod tests {
         let mut used = Posterior::new(GROUPS);
         taken_by(&mut used, |_, _, _| (50, 60));
         assert!(taken_by(&mut used, edge) == taken(edge));
+    }
+
+    #[test]
+    fn blocks_are_told_apart_once_they_have_seen_enough() {
+        // A ray in one group of `of`, and what tells every column of four from its neighbours.
+        let few = |of: usize| taken(|x, _, g| if g.is_multiple_of(of) { (u16::from(x % 4 < 3), 1) } else { (0, 0) });
+        let m = few(16);
+        assert!(m[2] == m[3] && m[2] == m[REGION + 3], "a quarter of a ray a group in four blocks");
+        assert!(m[1] > m[2], "one in sixteen");
+        let m = few(4);
+        assert!(m[2] > m[3], "one in four blocks");
     }
 
     #[test]
