@@ -12,6 +12,10 @@ const HEIGHT: f64 = 500.0;
 /// What is left free: left, top, right (for the labels), bottom.
 const MARGIN: [f64; 4] = [76.0, 52.0, 196.0, 58.0];
 
+/// From the axes to the lines' names, and what a letter of these takes in a wide font.
+const LABEL: f64 = 14.0;
+const LETTER: f64 = 10.0;
+
 /// A line's point with what to say about it and how far the single runs lie apart.
 #[derive(Debug, Clone)]
 pub(crate) struct Mark {
@@ -108,6 +112,8 @@ impl Chart {
     /// The chart as a self-contained SVG element.
     pub(crate) fn svg(&self) -> String {
         let [left, top, right, bottom] = MARGIN;
+        let longest = self.lines.iter().map(|line| line.label.chars().count()).max().unwrap_or(0);
+        let right = right.max((LETTER * longest as f64 + LABEL + 4.0).min(WIDTH / 2.0));
         let marks = || self.lines.iter().flat_map(|l| &l.marks);
         let x = Axis::new(marks().map(|m| m.x), left, WIDTH - right);
         let y = Axis::new(marks().flat_map(|m| [m.y, m.spread[0], m.spread[1]]), HEIGHT - bottom, top);
@@ -204,7 +210,7 @@ impl Chart {
             most = *place - APART;
         }
         for ((line, [ex, ey]), ty) in ends.iter().zip(at) {
-            let tx = x.to + 14.0;
+            let tx = x.to + LABEL;
             let _ = writeln!(
                 svg,
                 "<path d=\"M{:.1} {ey:.1}L{:.1} {ty:.1}\" stroke=\"{}\" stroke-width=\"1\" opacity=\".45\" fill=\"none\"/>\
@@ -260,6 +266,20 @@ mod tests {
     fn axes_are_labelled_in_plain_numbers() {
         let shown = [0.001, 0.02, 1.0, 50.0, 2e4, 1e7, 2e-5].map(tick);
         assert_eq!(shown, ["0.001", "0.02", "1", "50", "20 k", "10 M", "2e-5"]);
+    }
+
+    #[test]
+    fn names_have_room_at_the_right() {
+        let marks = vec![Mark { x: 1.0, y: 0.1, spread: [0.1, 0.1], note: String::new() }];
+        let label = "tessellated:cache=off,groups=512".to_owned();
+        let lines = vec![Line { label: label.clone(), color: COLORS[0], marks }];
+        let text = String::new();
+        let svg =
+            Chart { title: text.clone(), x_label: text.clone(), y_label: text, lines, levels: vec![], floor: None }
+                .svg();
+        let before = svg.split(&label).next().unwrap().rsplit("<text x=\"").next().unwrap();
+        let at: f64 = before.split('"').next().unwrap().parse().unwrap();
+        assert!(at + 9.5 * label.len() as f64 <= WIDTH, "begins at {at}");
     }
 
     #[test]
