@@ -29,6 +29,9 @@ const MOST: u16 = 128;
 /// Records this many steps of distance apart still speak of the same surface.
 const NEAR: u32 = 2;
 
+/// What a slot's key takes, counted and frozen, and who speaks for it.
+const KEY_BYTES: usize = 3 * 4;
+
 /// What a slot's expected irradiance takes beside it ([`super::tessellated`]).
 const EXPECTED_BYTES: usize = 32 * 4;
 
@@ -83,7 +86,7 @@ impl ShadowCache {
     /// The block's side follows from the budget; at least `least` pixels.
     pub fn new(size: [u32; 2], groups: usize, budget: u64, least: u32) -> Self {
         debug_assert!(groups.is_multiple_of(GROUP_LANES));
-        let bytes_a_block = (SLOTS * (groups * 3 + 12 + EXPECTED_BYTES)) as u64;
+        let bytes_a_block = (SLOTS * (groups * 3 + KEY_BYTES + EXPECTED_BYTES)) as u64;
         let mut block = least.max(1);
         let blocks_of = |block: u32| size.map(|side| side.div_ceil(block).max(1));
         while blocks_of(block).map(u64::from).iter().product::<u64>() * bytes_a_block > budget && block < 4096 {
@@ -304,7 +307,7 @@ impl ShadowCache {
     /// Records, bytes, hit rate.
     pub fn stats(&self) -> (u64, u64, f64) {
         let records = self.keys.iter().filter(|key| key.load(Relaxed) != 0).count() as u64;
-        let bytes = records * (self.groups as u64 * 3) + (self.keys.len() * (12 + EXPECTED_BYTES)) as u64;
+        let bytes = records * (self.groups as u64 * 3) + (self.keys.len() * (KEY_BYTES + EXPECTED_BYTES)) as u64;
         let lookups = self.lookups.load(Relaxed).max(1);
         (records, bytes, self.hits.load(Relaxed) as f64 / lookups as f64)
     }

@@ -4,7 +4,8 @@
 //! of four smaller ones: the whole region is taken for what its counts say, by neighbourhoods of the dome where a group's own
 //! are few; and every smaller square for the mean of a Beta posterior of its own counts, whose prior is the square around it.
 //! Where a whole neighbourhood of the dome is seen better or worse from the small square than from the large one,
-//! an occluder's edge lies between them: the prior of all its groups moves with it.
+//! an occluder's edge lies between them: the prior of all its groups moves with it. A square that has seen too little for
+//! that is not divided: one record speaks for all of its own.
 
 use super::along_curve;
 use crate::sampler::preconvolution::GROUP_LANES;
