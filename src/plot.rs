@@ -9,7 +9,7 @@ pub(crate) const COLORS: [&str; 8] =
 
 const WIDTH: f64 = 860.0;
 const HEIGHT: f64 = 500.0;
-/// What is left free: left, top, right (for the labels), bottom.
+/// What is left free: left, top, right (for the labels, at least), bottom.
 const MARGIN: [f64; 4] = [76.0, 52.0, 196.0, 58.0];
 
 /// From the axes to the lines' names, and what a letter of these takes in a wide font.

@@ -50,7 +50,7 @@ impl Lattice {
     /// The learning stages.
     fn stages() -> impl Iterator<Item = Self> {
         let until = (0..=RANKS.ilog2()).map(|stage| 1 << stage);
-        until.map(|to| Self { from: if to == 1 { 0 } else { to / 2 }, to, returns: to == RANKS })
+        until.map(|to| Self { from: to / 2, to, returns: to == RANKS })
     }
 
     fn is_first(self) -> bool {
