@@ -1,7 +1,7 @@
 //! One source, several instruction sets: a [`Kernel`] is plain code over slices, compiled for AVX-512, for AVX2 and for the
 //! target's baseline, and run by what the processor has.
 //!
-//! Nothing here is written in intrinsics and no operation is fused or reassociated, so the three forms give the same
+//! No kernel is written in intrinsics and no operation is fused or reassociated, so the three forms give the same
 //! bits; a test holds them to it.
 #![allow(
     unsafe_code,
@@ -31,6 +31,15 @@ pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
         }
     }
     kernel.run()
+}
+
+/// Whether the processor has all of AVX-512 that kernels are compiled for.
+#[inline]
+pub fn has_avx512() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    return level() == Level::Avx512;
+    #[cfg(not(target_arch = "x86_64"))]
+    false
 }
 
 /// Asks for the line of memory that holds an entry, so that it is near when it is read.

@@ -22,6 +22,7 @@ mod draw;
 mod expected;
 mod gloss;
 mod irradiance;
+mod lanes;
 mod leaves;
 mod memory;
 mod normals;

@@ -4,10 +4,11 @@
 //! (the search in a leaf's cells) has a block of independent searches in flight.
 
 use super::Tessellated;
+use super::lanes;
 use super::leaves::{LeafCounts, LeafMemo};
 use super::normals::Aim;
 use super::texels::{COUNTS, Lit, Span, bucket, counts, find};
-use super::weights::{Subject, Weights};
+use super::weights::{Subject, Weights, goes_by_energy};
 use crate::random;
 use crate::sampler::Numbers;
 use crate::sampler::cells::{DrawRow, Place, Sides};
@@ -15,7 +16,6 @@ use crate::sampler::preconvolution::GROUP_LANES;
 use crate::sampler::tessellation::LEAVES_A_GROUP;
 use crate::simd::{Kernel, prefetch};
 use glam::Vec3;
-use std::hint::select_unpredictable;
 
 /// Numbers treated together: a vector register of them.
 pub(super) const BLOCK: usize = 16;
@@ -197,30 +197,6 @@ impl Kernel for Aimed<'_> {
     }
 }
 
-/// The row of a lane that count `at` falls to.
-#[inline(always)]
-fn search(begins: &[[u32; GROUP_LANES]], lane: usize, at: u32) -> usize {
-    let (mut found, mut size) = (0, begins.len());
-    while size > 1 {
-        let next = found + size / 2;
-        found = select_unpredictable(begins[next][lane] <= at, next, found);
-        size -= size / 2;
-    }
-    found
-}
-
-/// The same in `ROWS` rows, a power of two: the compiler knows all steps, and makes a third of the instructions.
-#[inline(always)]
-fn search_in<const ROWS: usize>(begins: &[[u32; GROUP_LANES]; ROWS], lane: usize, at: u32) -> usize {
-    let (mut found, mut step) = (0, ROWS / 2);
-    while step > 0 {
-        let next = (found | step) % ROWS;
-        found = select_unpredictable(begins[next][lane] <= at, next, found);
-        step /= 2;
-    }
-    found
-}
-
 /// What is left of a number inside the item it fell to, in [0, 1): the integer part with fresh digits below.
 #[inline(always)]
 fn remainder(block: &mut Block, i: usize) -> f64 {
@@ -245,7 +221,7 @@ pub(super) fn small_whole(x: f32) -> u32 {
 impl Block {
     #[inline(always)]
     fn groups(&mut self, weights: &Weights, count: usize) {
-        let Self { at, low: lane, group: row, offset, width, .. } = self;
+        let Self { at, low: lane, group, offset, width, .. } = self;
         let all = *at;
         // Empty lanes begin where their successor does: the last that has begun holds the count.
         let (mut begun, mut before) = ([0; BLOCK], [0; BLOCK]);
@@ -258,25 +234,15 @@ impl Block {
         for i in 0..BLOCK {
             (at[i], lane[i]) = (at[i] - before[i], begun[i] - 1);
         }
-        let (begins, _) = weights.begins.as_chunks::<GROUP_LANES>();
-        let widths = &weights.widths[..begins.len() * GROUP_LANES];
-        // As many as there usually are.
-        let many: Option<&[_; 32]> = begins.try_into().ok();
-        let few: Option<&[_; 16]> = begins.try_into().ok();
-        for i in 0..count {
-            let (at, lane) = (at[i], lane[i] as usize % GROUP_LANES);
-            let found = match (many, few) {
-                (Some(begins), _) => search_in(begins, lane, at),
-                (_, Some(begins)) => search_in(begins, lane, at),
-                _ => search(begins, lane, at),
-            };
-            let group = found * GROUP_LANES + lane;
-            (row[i], offset[i], width[i]) = (group as u32, at - begins[found][lane], widths[group]);
+        let found = lanes::find(&weights.begins, lane, at);
+        for i in 0..BLOCK {
+            group[i] = found.row[i] * GROUP_LANES as u32 + lane[i];
+            (offset[i], width[i]) = (at[i] - found.begin[i], found.end[i] - found.begin[i]);
         }
         if let Some(first) = weights.heavy.first() {
             for i in (0..count).filter(|&i| all[i] >= first.begin) {
                 let begun = weights.heavy.iter().rfind(|heavy| heavy.begin <= all[i]).unwrap_or(first);
-                (row[i], offset[i]) = (begun.group, all[i] - begun.begin);
+                (group[i], offset[i]) = (begun.group, all[i] - begun.begin);
                 width[i] = weights.widths[begun.group as usize];
             }
         }
@@ -293,8 +259,9 @@ impl Block {
         let (guide, begins) = (sampler.texels.guide(), sampler.texels.begins());
         for i in 0..count {
             let (group, bucket) = (self.group[i] as usize, self.low[i] as usize);
-            self.control[i] = weights.control[group];
-            let (low, high) = if weights.goes_by_energy(group) {
+            let control = weights.control[group];
+            self.control[i] = control.abs();
+            let (low, high) = if goes_by_energy(control) {
                 (guide[bucket], guide[bucket + 1])
             } else {
                 let group = group as u32;

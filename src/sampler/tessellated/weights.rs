@@ -3,6 +3,7 @@
 
 use super::draw::whole;
 use super::irradiance::{ABOVE, Flux, Irradiance, LANES, Sweep, sum};
+use super::lanes::Row;
 use super::normals::Aim;
 use crate::random;
 use crate::sampler::preconvolution::{GROUP_LANES, Preconvolution};
@@ -70,19 +71,18 @@ pub struct Weights {
     pub(super) stamp: u64,
     /// The irradiance for a normal of its own.
     own: Irradiance,
-    /// Whether a group's cells are drawn by energy alone.
-    by_energy: Vec<bool>,
     /// Importance by what the cache makes of it.
     weighted: Vec<f32>,
-    /// What the control variate takes each group's visibility for; 0 for all that it leaves out.
+    /// What the control variate takes each group's visibility for, 0 for all that it leaves out; the sign says how the
+    /// group's cells are drawn: [`goes_by_energy`].
     pub(super) control: Vec<f32>,
     /// Its integral over the sphere: Σ b F, a vector a channel.
     flux: [Vec3; 3],
     /// Groups that have whole strata to themselves, after all others: a sun half in the shade is drawn as often at every
     /// point, so that the control variate misses nothing of it where it is hidden.
     pub(super) heavy: Vec<Heavy>,
-    /// Counts before a group in its own lane, heavy ones left out.
-    pub(super) begins: Vec<u32>,
+    /// Counts before a group in its own lane, heavy ones left out; all of the lane at the end.
+    pub(super) begins: Vec<Row>,
     /// Counts of a group.
     pub(super) widths: Vec<u32>,
     /// Counts before each lane.
@@ -118,9 +118,8 @@ impl Kernel for Weigh<'_> {
         let irradiance = &mut weights.own;
         Sweep { triangles, aim: Aim::exact(normal), notable, parts: false, irradiance }.run();
         weights.resize(irradiance_len(triangles));
-        weights.by_energy.fill(false);
         weights.weighted.copy_from_slice(&weights.own.importance);
-        weights.control.fill(0.0);
+        weights.control.fill(-0.0);
         weights.flux = [Vec3::ZERO; 3];
         weights.count(rays);
         weights.aim = Aim::exact(normal);
@@ -147,13 +146,12 @@ impl Kernel for WeighLearned<'_> {
         weights.resize(count);
         let (status, importance) = (&irradiance.status[..count], &irradiance.importance[..count]);
         let (visibility, weighted) = (&visibility[..count], &mut weights.weighted[..count]);
-        let (control, by_energy) = (&mut weights.control[..count], &mut weights.by_energy[..count]);
+        let control = &mut weights.control[..count];
         for g in 0..count {
             let m = f32::from(visibility[g]) * (1.0 / 255.0);
-            control[g] = if status[g] == ABOVE { m } else { 0.0 };
-            weighted[g] = importance[g] * spread(m, control[g]);
             // The control variate takes out how the cosine changes inside.
-            by_energy[g] = status[g] == ABOVE;
+            control[g] = if status[g] == ABOVE { m } else { -0.0 };
+            weighted[g] = importance[g] * spread(m, control[g]);
         }
         let mut flux: Flux = [0.0; 9];
         for (flux, row) in flux.iter_mut().zip(&triangles.groups.rgb) {
@@ -162,7 +160,7 @@ impl Kernel for WeighLearned<'_> {
         for part in &irradiance.parts {
             let m = f32::from(visibility[part.group as usize]) * (1.0 / 255.0);
             let g = part.group as usize;
-            control[g] = m;
+            control[g] = -m;
             weighted[g] = importance[g] * spread(m, m * part.covered);
             for (flux, part) in flux.iter_mut().zip(part.flux) {
                 *flux += m * part;
@@ -183,7 +181,7 @@ impl Weights {
     /// Whether a group's cells are drawn by energy alone.
     #[inline(always)]
     pub(super) fn goes_by_energy(&self, group: usize) -> bool {
-        self.by_energy[group]
+        goes_by_energy(self.control[group])
     }
 
     /// Empties them for weights that are no point's own: groups drawn from by energy, without a control variate.
@@ -191,7 +189,6 @@ impl Weights {
     pub(super) fn clear(&mut self, count: usize) -> &mut [f32] {
         self.resize(count);
         self.control.fill(0.0);
-        self.by_energy.fill(true);
         &mut self.weighted[..count]
     }
 
@@ -204,8 +201,7 @@ impl Weights {
     fn resize(&mut self, count: usize) {
         self.weighted.resize(count, 0.0);
         self.control.resize(count, 0.0);
-        self.by_energy.resize(count, false);
-        self.begins.resize(count, 0);
+        self.begins.resize(count / GROUP_LANES + 1, [0; GROUP_LANES]);
         self.widths.resize(count, 0);
     }
 
@@ -269,13 +265,13 @@ impl Weights {
             widths[any] += of_stratum * left - sum;
         }
         let mut lanes = [0u32; GROUP_LANES];
-        let (begins, _) = self.begins[..count].as_chunks_mut::<GROUP_LANES>();
-        let (widths, _) = widths.as_chunks::<GROUP_LANES>();
-        for (begins, widths) in begins.iter_mut().zip(widths) {
-            *begins = lanes;
+        let (first, begins) = self.begins.split_first_mut().expect("a row before all groups");
+        *first = lanes;
+        for (begins, widths) in begins.iter_mut().zip(widths.as_chunks::<GROUP_LANES>().0) {
             for (lane, width) in lanes.iter_mut().zip(widths) {
                 *lane += width;
             }
+            *begins = lanes;
         }
         let mut at = 0;
         for (begin, lane) in self.lanes.iter_mut().zip(lanes) {
@@ -289,6 +285,12 @@ impl Weights {
         }
         self.total = at;
     }
+}
+
+/// Whether the cells of a group with this `control` are drawn by energy alone, rather than leaf by leaf.
+#[inline(always)]
+pub(super) fn goes_by_energy(control: f32) -> bool {
+    control.is_sign_positive()
 }
 
 /// How far what arrives spreads about what the control variate takes off, where a share m arrives: √(m (1 − b)) for one that
