@@ -7,8 +7,8 @@ use super::Tessellated;
 use super::lanes;
 use super::leaves::{LeafCounts, LeafMemo};
 use super::normals::Aim;
-use super::texels::{COUNTS, Lit, Span, bucket, counts, find};
-use super::weights::{Subject, Weights, goes_by_energy};
+use super::texels::{COUNTS, Lit, Span, counts, find};
+use super::weights::{Weights, goes_by_energy};
 use crate::random;
 use crate::sampler::Numbers;
 use crate::sampler::cells::{DrawRow, Place, Sides};
@@ -60,7 +60,7 @@ pub(super) struct Block {
 /// The group turned out to have no light above the horizon.
 const NO_LEAF: u32 = u32::MAX;
 
-/// Set in a leaf's slot where the leaf crosses the horizon.
+/// Set in a leaf's slot where its cells are drawn by their cosine, too.
 const AT_HORIZON: u32 = 1 << 31;
 
 /// The cell is drawn from the group's own CDF, by energy alone.
@@ -126,7 +126,6 @@ impl Kernel for Choose<'_> {
             block.probability[i] = block.width[i] as f32 / total;
             // Most groups are drawn from by energy alone.
             block.at[i] = whole(remainder(block, i) * f64::from(COUNTS)).min(COUNTS - 1);
-            block.low[i] = bucket(block.group[i], block.at[i]);
         }
         (block.leaf, block.total) = ([WHOLE_GROUP; BLOCK], [COUNTS; BLOCK]);
         block.bounds(sampler, weights, leaves, count);
@@ -252,58 +251,77 @@ impl Block {
     /// horizon.
     #[inline(always)]
     fn bounds(&mut self, sampler: &Tessellated, weights: &Weights, memo: &mut LeafMemo, count: usize) {
-        let table = match weights.purpose.subject {
-            Subject::Learned { cell, .. } => sampler.table[cell as usize].get(),
-            Subject::Normal(_) => None,
-        };
+        let table = weights.purpose.subject.cell().and_then(|cell| sampler.table[cell].get());
         let (guide, begins) = (sampler.texels.guide(), sampler.texels.begins());
+        // No branch: which way a number goes is nearly a coin's toss.
+        let (mut by_leaf, mut many) = ([0; BLOCK], 0);
         for i in 0..count {
-            let (group, bucket) = (self.group[i] as usize, self.low[i] as usize);
-            let control = weights.control[group];
-            self.control[i] = control.abs();
-            let (low, high) = if goes_by_energy(control) {
-                (guide[bucket], guide[bucket + 1])
-            } else {
-                let group = group as u32;
-                let counts = match table {
-                    Some(table) => table.leaves(group),
-                    None => memo.get(weights.stamp, group, || {
-                        LeafCounts::new(&sampler.triangles.leaves[group as usize], weights.aim)
-                    }),
-                };
-                self.leaf(sampler, counts, i)
-            };
+            let group = self.group[i];
+            let control = weights.control[group as usize];
+            let (low, high) = guide(group, self.at[i]);
             prefetch(begins, low as usize);
             prefetch(begins, high as usize);
-            (self.low[i], self.high[i]) = (low, high);
+            (self.control[i], self.low[i], self.high[i]) = (control.abs(), low, high);
+            by_leaf[many % BLOCK] = i;
+            many += usize::from(!goes_by_energy(control));
+        }
+        // Step by step, each asking for the memory of the next.
+        let by_leaf = &by_leaf[..many];
+        if let Some(table) = table {
+            by_leaf.iter().for_each(|&i| table.ask_for(self.group[i]));
+        }
+        for &i in by_leaf {
+            let group = self.group[i];
+            let counts = match table {
+                Some(table) => table.leaves(group),
+                None => memo.get(weights.stamp, group, || {
+                    LeafCounts::new(&sampler.triangles.leaves[group as usize], weights.aim)
+                }),
+            };
+            self.leaf(sampler, counts, weights.is_fine(), i);
+        }
+        for &i in by_leaf {
+            self.enter(sampler, i);
+            prefetch(begins, self.low[i] as usize);
+            prefetch(begins, self.high[i] as usize);
         }
     }
 
-    /// The leaf that a number falls to, the number's position in it, and its first and last cell.
+    /// The leaf that a number falls to, which memory is asked for.
     #[inline(always)]
-    fn leaf(&mut self, sampler: &Tessellated, counts: &LeafCounts, i: usize) -> (u32, u32) {
+    fn leaf(&mut self, sampler: &Tessellated, counts: &LeafCounts, is_fine: bool, i: usize) {
         let total = counts.total();
         if total == 0 {
             // The group's cone crosses the horizon, none of its leaves' cones does: it holds no light for this normal.
             (self.leaf[i], self.total[i], self.at[i]) = (NO_LEAF, 1, 0);
-            return (0, 0);
+            return;
         }
         // The position among a group's counts, fresh digits below, carried over to the counts here.
         let fresh = f64::from(random::mix(self.fresh[i] ^ 0x7f4a_7c15)) * 2f64.powi(-32);
         let share = (f64::from(self.at[i]) + fresh) / f64::from(COUNTS);
         let (slot, offset) = counts.find(((share * f64::from(total)) as u32).min(total - 1));
         let index = self.group[i] * LEAVES_A_GROUP as u32 + slot as u32;
-        let leaf = sampler.texels.leaves[index as usize];
+        prefetch(&sampler.texels.leaves, index as usize);
         (self.offset[i], self.width[i]) = (offset, counts.width(slot));
         self.probability[i] *= self.width[i] as f32 / total as f32;
-        (self.leaf[i], self.total[i]) = (index, leaf.counts);
-        self.at[i] = leaf.first + ((remainder(self, i) * f64::from(leaf.counts)) as u32).min(leaf.counts - 1);
+        self.leaf[i] = index;
         if !counts.above(slot) {
             // The control variate covers what its integral does.
             self.control[i] = 0.0;
-            self.leaf[i] |= AT_HORIZON;
+            self.leaf[i] |= if is_fine { AT_HORIZON } else { 0 };
         }
-        (leaf.begin, leaf.end - 1)
+    }
+
+    /// The number's position in its leaf, and the leaf's first and last cell.
+    #[inline(always)]
+    fn enter(&mut self, sampler: &Tessellated, i: usize) {
+        if self.leaf[i] == NO_LEAF {
+            (self.low[i], self.high[i]) = (0, 0);
+            return;
+        }
+        let leaf = sampler.texels.leaves[(self.leaf[i] & !AT_HORIZON) as usize];
+        self.at[i] = leaf.first + ((remainder(self, i) * f64::from(leaf.counts)) as u32).min(leaf.counts - 1);
+        (self.total[i], self.low[i], self.high[i]) = (leaf.counts, leaf.begin, leaf.end - 1);
     }
 
     #[inline(always)]
@@ -353,14 +371,15 @@ impl Block {
         (self.pdf[i], self.factor[i]) = (1.0, 0.0);
     }
 
-    /// A cell of a leaf that crosses the horizon, by energy times cosine. Few samples come here; half of them would go
-    /// below the horizon otherwise.
+    /// A cell of a leaf that crosses the horizon, by energy times cosine: half of such samples would go below it otherwise.
     #[inline(never)]
     fn horizon(&mut self, sampler: &Tessellated, leaf: Span, aim: Aim, i: usize) {
-        if leaf.end - leaf.begin > MOST_AT_HORIZON {
-            return;
+        let mut widths = [0; MOST_AT_HORIZON];
+        let Some(widths) = widths.get_mut(..(leaf.end - leaf.begin) as usize) else { return };
+        for (width, place) in widths.iter_mut().zip(leaf.begin..) {
+            *width = sampler.horizon_width(place, aim);
         }
-        let total: u32 = (leaf.begin..leaf.end).map(|place| sampler.horizon_width(place, aim)).sum();
+        let total: u32 = widths.iter().sum();
         self.total[i] = total.max(1);
         if total == 0 {
             (self.leaf[i], self.offset[i], self.width[i]) = (NO_LEAF, 0, 1);
@@ -371,8 +390,7 @@ impl Block {
         let share = (f64::from(self.at[i] - leaf.first) + fresh) / f64::from(leaf.counts);
         let at = ((share * f64::from(total)) as u32).min(total - 1);
         let mut begin = 0;
-        for place in leaf.begin..leaf.end {
-            let width = sampler.horizon_width(place, aim);
+        for (&width, place) in widths.iter().zip(leaf.begin..) {
             if at < begin + width {
                 (self.low[i], self.offset[i], self.width[i]) = (place, at - begin, width);
                 return;
@@ -383,7 +401,7 @@ impl Block {
 }
 
 /// Leaves with more cells than this are not summed up cell by cell.
-pub(super) const MOST_AT_HORIZON: u32 = 4096;
+pub(super) const MOST_AT_HORIZON: usize = 256;
 
 impl Tessellated {
     /// The counts of a cell in a leaf that crosses the horizon: positive wherever a part of it is above.

@@ -4,7 +4,7 @@ use super::leaves::LeafCounts;
 use super::normals::Aim;
 use crate::sampler::preconvolution::{LeafMoments, Preconvolution, soft};
 use crate::sampler::tessellation::LEAVES_A_GROUP;
-use crate::simd::Kernel;
+use crate::simd::{Kernel, prefetch};
 
 /// Below the horizon, or crossing it with next to no light: the control variate leaves it out.
 pub(super) const BELOW: u8 = 0;
@@ -50,6 +50,12 @@ impl Irradiance {
             + size_of_val(&self.parts[..])
             + size_of_val(&self.leaves[..])
             + size_of_val(&self.rows[..])
+    }
+
+    /// Asks for the memory of [`Self::leaves`].
+    #[inline(always)]
+    pub(super) fn ask_for(&self, group: u32) {
+        prefetch(&self.leaves, usize::from(self.rows[group as usize]));
     }
 
     /// The leaves of a group that is not wholly above the horizon.

@@ -12,11 +12,8 @@ use std::ops::Range;
 /// Counts a group's cells share out.
 pub(super) const COUNTS: u32 = 1 << 31;
 
-/// Counts to a bucket of the guide table.
-const BUCKET: u32 = 24;
-
-/// Entries of a group in the guide table: one for each bucket's first count, and one for the last.
-const GUIDES: usize = (COUNTS >> BUCKET) as usize + 1;
+/// Cells of a group to a bucket of its guide, about: a cache line's worth of beginnings holds twice as many.
+const CELLS_A_BUCKET: usize = 8;
 
 /// A cell and its radiance, together: what a sample needs comes with one line of memory.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
@@ -46,8 +43,31 @@ pub(super) struct Texels {
     pub(super) groups: Vec<Span>,
     /// By slot.
     pub(super) leaves: Vec<Span>,
-    /// Which cell holds a bucket's first count; [`GUIDES`] a group.
+    /// Which cell holds a bucket's first count: for each group one entry a bucket, and one for the end.
     guide: Row<u32>,
+    /// Where a group's entries are, by slot.
+    guides: Vec<Guide>,
+}
+
+/// A group's buckets, a power of two of them.
+#[derive(Debug, Clone, Copy)]
+struct Guide {
+    /// The entry of the first one.
+    first: u32,
+    /// A bucket's counts: so many bits.
+    bits: u32,
+}
+
+impl Guide {
+    fn new(first: u32, cells: usize) -> Self {
+        let buckets = cells.div_ceil(CELLS_A_BUCKET).next_power_of_two().ilog2();
+        Self { first, bits: COUNTS.ilog2() - buckets }
+    }
+
+    /// Entries: one for each bucket's first count, and one for the last.
+    fn len(self) -> usize {
+        (COUNTS >> self.bits) as usize + 1
+    }
 }
 
 impl Texels {
@@ -58,11 +78,21 @@ impl Texels {
         let mut begins = Row::new(tessellation.cells.len() + 1);
         let mut leaves: Vec<Span> = triangles.cells.iter().map(span).collect();
         let mut groups: Vec<Span> = leaves.chunks(LEAVES_A_GROUP).map(around).collect();
-        let mut guide = Row::new(groups.len() * GUIDES);
+        let mut entries = 0;
+        let next = |group: &Span| {
+            let guide = Guide::new(entries as u32, (group.end - group.begin) as usize);
+            entries += guide.len();
+            guide
+        };
+        let guides: Vec<Guide> = groups.iter().map(next).collect();
+        let mut guide = Row::new(entries);
 
         // Every group its own piece of the beginnings, in the order in which they follow each other.
+        let mut entries = guide.get_mut();
+        let of_group = |guide: &Guide| entries.split_off_mut(..guide.len()).expect("as many as all groups have");
+        let of_groups = guides.iter().map(of_group);
         let mut jobs: Vec<_> =
-            groups.iter_mut().zip(leaves.chunks_mut(LEAVES_A_GROUP)).zip(guide.get_mut().chunks_mut(GUIDES)).collect();
+            groups.iter_mut().zip(leaves.chunks_mut(LEAVES_A_GROUP)).zip(guides.iter().zip(of_groups)).collect();
         jobs.sort_unstable_by_key(|((group, _), _)| group.begin);
         let mut rest = begins.get_mut();
         let mut pieces = Vec::with_capacity(jobs.len());
@@ -71,7 +101,7 @@ impl Texels {
             rest = after;
             pieces.push((job, piece));
         }
-        pieces.into_par_iter().for_each(|(((group, leaves), guide), begins)| {
+        pieces.into_par_iter().for_each(|(((group, leaves), (guide, entries)), begins)| {
             if begins.is_empty() {
                 return;
             }
@@ -94,21 +124,26 @@ impl Texels {
                 leaf.counts = begins.get((leaf.end - group.begin) as usize).unwrap_or(&COUNTS) - leaf.first;
             }
             let mut cell = 0;
-            for (bucket, guide) in guide.iter_mut().enumerate() {
-                let first = (bucket as u32) << BUCKET;
+            for (bucket, entry) in entries.iter_mut().enumerate() {
+                let first = (bucket as u32) << guide.bits;
                 while cell + 1 < begins.len() && begins[cell + 1] <= first {
                     cell += 1;
                 }
-                *guide = group.begin + cell as u32;
+                *entry = group.begin + cell as u32;
             }
         });
-        Self { order, begins, groups, leaves, guide }
+        Self { order, begins, groups, leaves, guide, guides }
     }
 
-    /// Which cell holds a bucket's first count, for [`bucket`].
+    /// Finds the cells between which a count of a group falls.
     #[inline(always)]
-    pub(super) fn guide(&self) -> &[u32] {
-        self.guide.get()
+    pub(super) fn guide(&self) -> impl Fn(u32, u32) -> (u32, u32) + '_ {
+        let (entries, guides) = (self.guide.get(), &self.guides[..]);
+        move |group, at| {
+            let guide = guides[group as usize];
+            let bucket = (guide.first + (at >> guide.bits)) as usize;
+            (entries[bucket], entries[bucket + 1])
+        }
     }
 
     /// Where each cell's counts begin in its group's CDF.
@@ -135,13 +170,8 @@ impl Texels {
             + size_of_val(&self.groups[..])
             + size_of_val(&self.leaves[..])
             + size_of_val(self.guide.get())
+            + size_of_val(&self.guides[..])
     }
-}
-
-/// Where a group's count `at` stands in the guide: it falls to the place there, the next one, or one between them.
-#[inline(always)]
-pub(super) fn bucket(group: u32, at: u32) -> u32 {
-    group * GUIDES as u32 + (at >> BUCKET)
 }
 
 /// Where a cell's counts begin in its group's, and how many they are.
