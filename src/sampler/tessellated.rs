@@ -18,6 +18,7 @@
 //! Gloss: polished surfaces, and metals of any roughness, draw some of their directions from the groups as their lobe sees
 //! them, by energy inside a group.
 
+mod buckets;
 mod draw;
 mod expected;
 mod gloss;

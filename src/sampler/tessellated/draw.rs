@@ -4,10 +4,11 @@
 //! (the search in a leaf's cells) has a block of independent searches in flight.
 
 use super::Tessellated;
+use super::buckets::Found;
 use super::lanes;
 use super::leaves::{LeafCounts, LeafMemo};
 use super::normals::Aim;
-use super::texels::{COUNTS, Lit, Span, counts, find};
+use super::texels::{COUNTS, Lit, Span};
 use super::weights::{Weights, goes_by_energy};
 use crate::random;
 use crate::sampler::Numbers;
@@ -40,9 +41,9 @@ pub(super) struct Block {
     pub(super) group: [u32; BLOCK],
     /// The slot of the leaf, [`WHOLE_GROUP`] or [`NO_LEAF`].
     leaf: [u32; BLOCK],
-    /// First and last cell that it may be, along the curve.
-    low: [u32; BLOCK],
-    high: [u32; BLOCK],
+    /// The line of cells that it falls to, then its cell's place along the curve.
+    line: [u32; BLOCK],
+    along: [u32; BLOCK],
     /// What the control variate takes the visibility for.
     control: [f32; BLOCK],
     /// Row and column of the cell.
@@ -78,8 +79,8 @@ impl Default for Block {
             total: [0; BLOCK],
             group: [0; BLOCK],
             leaf: [0; BLOCK],
-            low: [0; BLOCK],
-            high: [0; BLOCK],
+            line: [0; BLOCK],
+            along: [0; BLOCK],
             control: [0.0; BLOCK],
             place: [Place::default(); BLOCK],
             cell: [[0.0; BLOCK]; 5],
@@ -91,7 +92,7 @@ impl Default for Block {
     }
 }
 
-/// The first part of the way, for numbers `first..first + count` of `of`: down to a few cells, which memory is asked for.
+/// The first part of the way, for numbers `first..first + count` of `of`: down to a line of cells, which memory is asked for.
 pub(super) struct Choose<'a> {
     pub(super) sampler: &'a Tessellated,
     pub(super) weights: &'a Weights,
@@ -128,7 +129,7 @@ impl Kernel for Choose<'_> {
             block.at[i] = whole(remainder(block, i) * f64::from(COUNTS)).min(COUNTS - 1);
         }
         (block.leaf, block.total) = ([WHOLE_GROUP; BLOCK], [COUNTS; BLOCK]);
-        block.bounds(sampler, weights, leaves, count);
+        block.lines(sampler, weights, leaves, count);
     }
 }
 
@@ -220,7 +221,7 @@ pub(super) fn small_whole(x: f32) -> u32 {
 impl Block {
     #[inline(always)]
     fn groups(&mut self, weights: &Weights, count: usize) {
-        let Self { at, low: lane, group, offset, width, .. } = self;
+        let Self { at, line: lane, group, offset, width, .. } = self;
         let all = *at;
         // Empty lanes begin where their successor does: the last that has begun holds the count.
         let (mut begun, mut before) = ([0; BLOCK], [0; BLOCK]);
@@ -247,21 +248,18 @@ impl Block {
         }
     }
 
-    /// First and last cell that each may be. Where the cosine matters, by a leaf: without a control variate, and at the
+    /// The line of cells that each falls to. Where the cosine matters, by a leaf: without a control variate, and at the
     /// horizon.
     #[inline(always)]
-    fn bounds(&mut self, sampler: &Tessellated, weights: &Weights, memo: &mut LeafMemo, count: usize) {
+    fn lines(&mut self, sampler: &Tessellated, weights: &Weights, memo: &mut LeafMemo, count: usize) {
         let table = weights.purpose.subject.cell().and_then(|cell| sampler.table[cell].get());
-        let (guide, begins) = (sampler.texels.guide(), sampler.texels.begins());
+        let buckets = &sampler.texels.buckets;
         // No branch: which way a number goes is nearly a coin's toss.
         let (mut by_leaf, mut many) = ([0; BLOCK], 0);
         for i in 0..count {
             let group = self.group[i];
             let control = weights.control[group as usize];
-            let (low, high) = guide(group, self.at[i]);
-            prefetch(begins, low as usize);
-            prefetch(begins, high as usize);
-            (self.control[i], self.low[i], self.high[i]) = (control.abs(), low, high);
+            (self.control[i], self.line[i]) = (control.abs(), buckets.ask_for(group, self.at[i]));
             by_leaf[many % BLOCK] = i;
             many += usize::from(!goes_by_energy(control));
         }
@@ -281,9 +279,10 @@ impl Block {
             self.leaf(sampler, counts, weights.is_fine(), i);
         }
         for &i in by_leaf {
-            self.enter(sampler, i);
-            prefetch(begins, self.low[i] as usize);
-            prefetch(begins, self.high[i] as usize);
+            if self.leaf[i] != NO_LEAF {
+                self.enter(sampler.texels.leaves[(self.leaf[i] & !AT_HORIZON) as usize], i);
+                self.line[i] = buckets.ask_for(self.group[i], self.at[i]);
+            }
         }
     }
 
@@ -293,7 +292,7 @@ impl Block {
         let total = counts.total();
         if total == 0 {
             // The group's cone crosses the horizon, none of its leaves' cones does: it holds no light for this normal.
-            (self.leaf[i], self.total[i], self.at[i]) = (NO_LEAF, 1, 0);
+            (self.leaf[i], self.total[i]) = (NO_LEAF, 1);
             return;
         }
         // The position among a group's counts, fresh digits below, carried over to the counts here.
@@ -312,16 +311,11 @@ impl Block {
         }
     }
 
-    /// The number's position in its leaf, and the leaf's first and last cell.
+    /// The number's position among the counts of its leaf.
     #[inline(always)]
-    fn enter(&mut self, sampler: &Tessellated, i: usize) {
-        if self.leaf[i] == NO_LEAF {
-            (self.low[i], self.high[i]) = (0, 0);
-            return;
-        }
-        let leaf = sampler.texels.leaves[(self.leaf[i] & !AT_HORIZON) as usize];
+    fn enter(&mut self, leaf: Span, i: usize) {
         self.at[i] = leaf.first + ((remainder(self, i) * f64::from(leaf.counts)) as u32).min(leaf.counts - 1);
-        (self.total[i], self.low[i], self.high[i]) = (leaf.counts, leaf.begin, leaf.end - 1);
+        self.total[i] = leaf.counts;
     }
 
     #[inline(always)]
@@ -329,9 +323,8 @@ impl Block {
         let texels = &sampler.texels;
         let begins = texels.begins();
         for i in 0..count {
-            let place = find(begins, [self.low[i], self.high[i]], self.at[i]);
-            let (begin, width) = counts(begins, place);
-            (self.low[i], self.offset[i], self.width[i]) = (place, self.at[i] - begin, width);
+            let Found { place, begin, width } = texels.buckets.find(self.line[i], self.at[i], begins);
+            (self.along[i], self.offset[i], self.width[i]) = (place, self.at[i] - begin, width);
         }
         let order = texels.order();
         for i in 0..count {
@@ -339,7 +332,7 @@ impl Block {
             if leaf < WHOLE_GROUP && leaf & AT_HORIZON != 0 {
                 self.horizon(sampler, texels.leaves[(leaf & !AT_HORIZON) as usize], aim, i);
             }
-            prefetch(order, self.low[i] as usize);
+            prefetch(order, self.along[i] as usize);
         }
     }
 
@@ -347,7 +340,7 @@ impl Block {
     fn sides(&mut self, sampler: &Tessellated, count: usize) {
         let order = sampler.texels.order();
         for i in 0..count {
-            let Lit { place, radiance } = order[self.low[i] as usize];
+            let Lit { place, radiance } = order[self.along[i] as usize];
             self.place[i] = place;
             (self.radiance[0][i], self.radiance[1][i], self.radiance[2][i]) = (radiance[0], radiance[1], radiance[2]);
         }
@@ -392,7 +385,7 @@ impl Block {
         let mut begin = 0;
         for (&width, place) in widths.iter().zip(leaf.begin..) {
             if at < begin + width {
-                (self.low[i], self.offset[i], self.width[i]) = (place, at - begin, width);
+                (self.along[i], self.offset[i], self.width[i]) = (place, at - begin, width);
                 return;
             }
             begin += width;
