@@ -1,6 +1,6 @@
 //! From a group's count to the cell that holds it, by one line of memory.
 //!
-//! A group's counts are cut into equal buckets. The cells that have a part in a bucket, eight or nine in the mean, stand in one
+//! A group's counts are cut into equal buckets. The cells that have a part in a bucket, eleven or so, stand in one
 //! line: where the first one is along the curve, and where the counts of each begin, as far as the first cell beyond.
 //! Domes are larger than caches: a search through the CDF itself waits for memory at every other step.
 
@@ -13,7 +13,7 @@ use std::hint::select_unpredictable;
 type Line = [u32; 16];
 
 /// Cells to a bucket, about.
-const CELLS_A_BUCKET: usize = 8;
+const CELLS_A_BUCKET: usize = 10;
 
 /// Set with the place where a line has no room for all of its cells: what follows is the last one's place.
 const CROWDED: u32 = 1 << 31;
