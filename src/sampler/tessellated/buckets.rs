@@ -32,7 +32,7 @@ struct Line {
     count: u16,
     /// Where they do, from the bucket's beginning on.
     begins: [u16; ROOM],
-    free: [u16; 2],
+    unused: [u16; 2],
 }
 
 /// A line has no room for all of its cells.
@@ -143,17 +143,16 @@ impl Room<'_> {
             while begins.get(first + 1).is_some_and(|&next| next <= from) {
                 first += 1;
             }
-            let inside = &begins[first + 1..];
-            let inside = &inside[..inside.partition_point(|&begin| begin - from < 1 << BITS)];
-            let beyond = first + 1 + inside.len();
+            let next = &begins[first + 1..];
+            let is_inside = |begin: &u32| begin - from < 1 << BITS;
+            let inside = next.iter().take(ROOM + 1).take_while(|begin| is_inside(begin)).count();
             *line = Line { place: place + first as u32, begin: begins[first], ..Line::zeroed() };
-            if inside.len() <= ROOM {
-                line.count = inside.len() as u16;
-                line.end = *begins.get(beyond).unwrap_or(&all);
+            if inside <= ROOM {
+                (line.count, line.end) = (inside as u16, *next.get(inside).unwrap_or(&all));
                 line.begins = [u16::MAX; ROOM];
-                line.begins.iter_mut().zip(inside).for_each(|(to, &begin)| *to = (begin - from) as u16);
+                line.begins.iter_mut().zip(&next[..inside]).for_each(|(to, &begin)| *to = (begin - from) as u16);
             } else {
-                (line.count, line.end) = (CROWDED, place + beyond as u32 - 1);
+                (line.count, line.end) = (CROWDED, line.place + next.partition_point(is_inside) as u32);
             }
         }
     }
