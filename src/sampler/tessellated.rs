@@ -60,7 +60,7 @@ use seed::Seed;
 use std::io::{self, Read, Write};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
-use texels::Texels;
+use texels::{COUNTS, Texels};
 use walk::Asked;
 use weights::{Purpose, Subject, Weigh, WeighLearned};
 
@@ -273,16 +273,16 @@ impl DomeSampler for Tessellated {
         };
         let (group, leaf_of_group) = (slot / LEAVES_A_GROUP, slot % LEAVES_A_GROUP);
         let share = |width: u32, of: u32| if of == 0 { 0.0 } else { f64::from(width) / f64::from(of) };
-        let width = self.texels.width(place, group as u32);
+        let width = self.texels.counts(place).1;
         // As `draw` chose them.
         let in_group = if weights.goes_by_energy(group) {
-            share(width, self.texels.buckets.counts(group as u32))
+            share(width, COUNTS)
         } else {
             let counts = LeafCounts::new(&self.triangles.leaves[group], weights.aim);
             let leaf = self.texels.leaves[slot];
             let of_leaf = leaf.begin..leaf.end;
             let in_leaf = if weights.is_fine() && !counts.above(leaf_of_group) && of_leaf.len() <= MOST_AT_HORIZON {
-                let width = |place| self.horizon_width(place, group as u32, weights.aim);
+                let width = |place| self.horizon_width(place, weights.aim);
                 share(width(place), of_leaf.map(width).sum())
             } else {
                 share(width, leaf.counts)
@@ -323,9 +323,7 @@ impl DomeSampler for Tessellated {
             Some(&(place, slot)) if place != u32::MAX && weights.total > 0 => {
                 let group = slot as usize / LEAVES_A_GROUP;
                 let share = |width: u32, of: u32| f64::from(width) / f64::from(of);
-                let (width, counts) =
-                    (self.texels.width(place, group as u32), self.texels.buckets.counts(group as u32));
-                let in_group = share(width, counts);
+                let in_group = share(self.texels.counts(place).1, COUNTS);
                 (share(weights.widths[group], weights.total) * in_group / self.cells.solid_angle(cell)) as f32
             }
             _ => 0.0,

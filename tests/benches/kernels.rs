@@ -4,7 +4,8 @@
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use domelight::accel::{self, ACCELS, Coherence, Hit, Mask, Ray};
 use domelight::bsdf::{Bsdf, Specular, ggx};
-use domelight::dome::{self, Dome};
+use domelight::dome::project::Grid;
+use domelight::dome::{self, Dome, Faults};
 use domelight::random::{hash, sobol2, unit};
 use domelight::registry::resolve;
 use domelight::sampler::{Draws, Numbers, Point, SAMPLERS, Setup};
@@ -25,6 +26,18 @@ fn scene() -> Arc<Scene> {
 fn dome() -> Arc<Dome> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/overcast_sun.exr");
     Arc::new(dome::load(&path, 0.0, 1.0).expect("a dome of the repository"))
+}
+
+/// The same dome as an image of the size that artists use, no two texels of it alike.
+fn large() -> Arc<Dome> {
+    let small = dome();
+    let grid = Grid::new(4096, 2048, 0.0);
+    let (wide, high) = (grid.width / small.grid.width, grid.height / small.grid.height);
+    let texel = |i: u32| {
+        let (x, y) = (i % grid.width / wide, i / grid.width / high);
+        small.texels[(y * small.grid.width + x) as usize].map(|value| value * (0.75 + 0.5 * unit(hash(&[i]))))
+    };
+    Arc::new(Dome { grid, texels: (0..grid.len() as u32).map(texel).collect(), faults: Faults::default() })
 }
 
 fn direction(i: u32) -> Vec3 {
@@ -58,15 +71,16 @@ fn accelerators(c: &mut Criterion) {
 
 /// The directions of a point, for one normal after the other.
 fn samplers(c: &mut Criterion) {
-    let dome = dome();
+    let (dome, large) = (dome(), large());
     let mut group = c.benchmark_group("directions");
     group.throughput(Throughput::Elements(DIRECTIONS.into()));
-    for spec in SAMPLERS.iter().map(|plugin| plugin.name).chain(["tessellated:cache=off"]) {
+    let specs = SAMPLERS.iter().map(|plugin| plugin.name).chain(["tessellated:cache=off"]);
+    for (spec, dome) in specs.flat_map(|spec| [(spec, &dome), (spec, &large)]) {
         let (plugin, params) = resolve("sampler", SAMPLERS, spec).expect("a registered sampler");
         let setup = Setup { size: [640, 480], gloss: false, rays: DIRECTIONS, spp: 16 };
-        let sampler = (plugin.make)(&dome, &params, &setup).expect("options by default");
+        let sampler = (plugin.make)(dome, &params, &setup).expect("options by default");
         let (mut draws, mut i) = (Draws::default(), 0);
-        group.bench_function(spec, |b| {
+        group.bench_function(BenchmarkId::new(spec, dome.grid.width), |b| {
             b.iter(|| {
                 i += 1;
                 let n = direction(i);

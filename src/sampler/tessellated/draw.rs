@@ -1,14 +1,14 @@
 //! A point's numbers on their way down the hierarchy, a block of them at a time.
 //!
 //! Each level is a loop of its own over the block: what is arithmetic runs in vector registers, what waits for memory
-//! (the search in a leaf's cells) has a block of independent searches in flight.
+//! (a group's buckets, its cells) has a block of independent look-ups in flight.
 
 use super::Tessellated;
 use super::buckets::Found;
 use super::lanes;
 use super::leaves::{LeafCounts, LeafMemo};
 use super::normals::Aim;
-use super::texels::{Lit, Span};
+use super::texels::{COUNTS, Lit, Span};
 use super::weights::{Weights, goes_by_energy};
 use crate::random;
 use crate::sampler::Numbers;
@@ -76,7 +76,7 @@ impl Default for Block {
             offset: [0; BLOCK],
             width: [0; BLOCK],
             probability: [0.0; BLOCK],
-            total: [1; BLOCK],
+            total: [0; BLOCK],
             group: [0; BLOCK],
             leaf: [0; BLOCK],
             line: [0; BLOCK],
@@ -122,17 +122,13 @@ impl Kernel for Choose<'_> {
             block.fresh[i] = fresh;
         }
         block.groups(weights, count);
-        for i in 0..count {
-            block.total[i] = sampler.texels.buckets.counts(block.group[i]);
-        }
         let total = weights.total as f32;
         for i in 0..BLOCK {
             block.probability[i] = block.width[i] as f32 / total;
             // Most groups are drawn from by energy alone.
-            let total = block.total[i];
-            block.at[i] = whole(remainder(block, i) * f64::from(total)).min(total - 1);
+            block.at[i] = whole(remainder(block, i) * f64::from(COUNTS)).min(COUNTS - 1);
         }
-        block.leaf = [WHOLE_GROUP; BLOCK];
+        (block.leaf, block.total) = ([WHOLE_GROUP; BLOCK], [COUNTS; BLOCK]);
         block.lines(sampler, weights, leaves, count);
     }
 }
@@ -301,7 +297,7 @@ impl Block {
         }
         // The position among a group's counts, fresh digits below, carried over to the counts here.
         let fresh = f64::from(random::mix(self.fresh[i] ^ 0x7f4a_7c15)) * 2f64.powi(-32);
-        let share = (f64::from(self.at[i]) + fresh) / f64::from(self.total[i]);
+        let share = (f64::from(self.at[i]) + fresh) / f64::from(COUNTS);
         let (slot, offset) = counts.find(((share * f64::from(total)) as u32).min(total - 1));
         let index = self.group[i] * LEAVES_A_GROUP as u32 + slot as u32;
         prefetch(&sampler.texels.leaves, index as usize);
@@ -374,7 +370,7 @@ impl Block {
         let mut widths = [0; MOST_AT_HORIZON];
         let Some(widths) = widths.get_mut(..(leaf.end - leaf.begin) as usize) else { return };
         for (width, place) in widths.iter_mut().zip(leaf.begin..) {
-            *width = sampler.horizon_width(place, self.group[i], aim);
+            *width = sampler.horizon_width(place, aim);
         }
         let total: u32 = widths.iter().sum();
         self.total[i] = total.max(1);
@@ -402,13 +398,13 @@ pub(super) const MOST_AT_HORIZON: usize = 256;
 
 impl Tessellated {
     /// The counts of a cell in a leaf that crosses the horizon: positive wherever a part of it is above.
-    pub(super) fn horizon_width(&self, place: u32, group: u32, aim: Aim) -> u32 {
+    pub(super) fn horizon_width(&self, place: u32, aim: Aim) -> u32 {
         let center = self.cells.sides(self.texels.order()[place as usize].place).direction(0.5, 0.5);
         let cosine = center.dot(aim.axis) + self.cells.half_diagonal() as f32 + aim.radius;
         if cosine <= 0.0 {
             return 0;
         }
-        (f64::from(self.texels.width(place, group)) * f64::from(cosine.min(1.0))) as u32 + 1
+        (f64::from(self.texels.counts(place).1) * f64::from(cosine.min(1.0))) as u32 + 1
     }
 }
 

@@ -3,11 +3,14 @@
 use super::super::cells::{DomeCells, Place};
 use super::super::preconvolution::Preconvolution;
 use super::super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
-use super::buckets::Buckets;
+use super::buckets::{Buckets, counts};
 use super::pages::Row;
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 use std::ops::Range;
+
+/// Counts a group's cells share out.
+pub(super) const COUNTS: u32 = 1 << 31;
 
 /// A cell and its radiance, together: what a sample needs comes with one line of memory.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
@@ -66,9 +69,8 @@ impl Texels {
                 return;
             }
             let members = &tessellation.cells[group.begin as usize..group.end as usize];
-            let counts = room.counts();
             let total: f64 = members.iter().map(|&cell| cells.energy(cell)).sum();
-            let scale = f64::from(counts - members.len() as u32) / total;
+            let scale = f64::from(COUNTS - members.len() as u32) / total;
             let mut at = 0;
             for (begin, &cell) in begins.iter_mut().zip(members) {
                 // At least one each: no light is out of reach, however dim.
@@ -78,11 +80,11 @@ impl Texels {
             // What rounding has left over, at most one each, is the brightest one's.
             let widths = begins.iter().skip(1).chain([&at]).zip(&*begins).map(|(end, begin)| end - begin);
             let brightest = widths.enumerate().max_by_key(|&(_, width)| width).map_or(0, |(i, _)| i);
-            begins[brightest + 1..].iter_mut().for_each(|begin| *begin += counts - at);
-            group.counts = counts;
+            begins[brightest + 1..].iter_mut().for_each(|begin| *begin += COUNTS - at);
+            group.counts = COUNTS;
             for leaf in leaves.iter_mut().filter(|leaf| leaf.end > leaf.begin) {
                 leaf.first = begins[(leaf.begin - group.begin) as usize];
-                leaf.counts = begins.get((leaf.end - group.begin) as usize).unwrap_or(&counts) - leaf.first;
+                leaf.counts = begins.get((leaf.end - group.begin) as usize).unwrap_or(&COUNTS) - leaf.first;
             }
             room.fill(group.begin, begins);
         });
@@ -95,13 +97,10 @@ impl Texels {
         self.begins.get()
     }
 
-    /// How many of its group's counts a cell has.
+    /// Where a cell's counts begin in its group's, and how many they are.
     #[inline(always)]
-    pub(super) fn width(&self, place: u32, group: u32) -> u32 {
-        let (begin, next) = (self.begins()[place as usize], self.begins()[place as usize + 1]);
-        // The next group's begin at 0 again.
-        let end = if next > begin { next } else { self.buckets.counts(group) };
-        end - begin
+    pub(super) fn counts(&self, place: u32) -> (u32, u32) {
+        counts(self.begins(), place)
     }
 
     /// The cells along the curve.

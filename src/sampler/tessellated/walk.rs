@@ -1,7 +1,7 @@
 //! Directions for one point while the next one's begin.
 //!
-//! On its way down the hierarchy a number reads three tables that no cache holds: a guide, a group's CDF, the cell that
-//! was drawn. So the way is gone in three parts, each asking for the memory of the next, and between its parts a point
+//! On its way down the hierarchy a number reads two tables that no cache holds: a group's buckets, and the cell that was
+//! drawn. So the way is gone in three parts, each asking for the memory of the next, and between its parts a point
 //! waits for its predecessor: [`Tessellated::begin`] for point i + 1 comes before [`Tessellated::walk`] for point i.
 
 use super::Tessellated;
