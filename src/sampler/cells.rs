@@ -29,6 +29,8 @@ pub struct DomeCells {
     /// What a draw reads of a column and of a row: small, to stay close.
     draw_columns: Vec<[f32; 2]>,
     draw_rows: Vec<DrawRow>,
+    /// Ring radius and height of a row's middle.
+    middles: Vec<[f32; 2]>,
     /// Half a cell's azimuth.
     pub(super) half_azimuth: f32,
     half_diagonal: f64,
@@ -122,6 +124,7 @@ impl DomeCells {
             .collect::<Vec<_>>();
         let draw_columns = columns.iter().map(|c| [c.cos as f32, c.sin as f32]).collect();
         let draw_rows = rows.iter().map(|row| row.draw).collect();
+        let middles = rows.iter().map(|row| row.center.map(|v| v as f32)).collect();
         let half_azimuth = half_azimuth as f32;
         let half_diagonal = 0.5 * step.hypot(2.0 * PI / f64::from(width));
         let reciprocal = u64::MAX / u64::from(width) + 1;
@@ -135,6 +138,7 @@ impl DomeCells {
             rows,
             draw_columns,
             draw_rows,
+            middles,
             half_azimuth,
             half_diagonal,
         }
@@ -212,6 +216,14 @@ impl DomeCells {
         Place(row << 16 | column)
     }
 
+    /// The cosine between a cell's middle and a unit direction.
+    #[inline(always)]
+    pub fn cosine(&self, Place(place): Place, n: Vec3) -> f32 {
+        let ([cos, sin], [ring, y]) =
+            (self.draw_columns[(place & 0xffff) as usize], self.middles[(place >> 16) as usize]);
+        ring * (cos * n.x + sin * n.z) + y * n.y
+    }
+
     /// What drawing from a cell needs.
     #[inline(always)]
     pub fn sides(&self, Place(place): Place) -> Sides {
@@ -278,6 +290,7 @@ mod tests {
                     assert!((dir.length() - 1.0).abs() < 1e-6, "{w}×{h} cell {cell}: {}", dir.length());
                     assert_eq!(c.cell(dir, c.texel(cell)), cell, "{w}×{h}");
                     assert_eq!(c.dome().grid.texel(dir), c.texel(cell), "{w}×{h}");
+                    assert!((c.cosine(c.locate(cell), dir) - dir.dot(c.center(cell).as_vec3())).abs() < 1e-6);
                     let angle = f64::from(dir.dot(c.center(cell).as_vec3()).min(1.0)).acos();
                     assert!(angle < c.half_diagonal() + 1e-3);
                 }

@@ -281,7 +281,7 @@ impl DomeSampler for Tessellated {
             let counts = LeafCounts::new(&self.triangles.leaves[group], weights.aim);
             let leaf = self.texels.leaves[slot];
             let of_leaf = leaf.begin..leaf.end;
-            let in_leaf = if weights.is_fine() && !counts.above(leaf_of_group) && of_leaf.len() <= MOST_AT_HORIZON {
+            let in_leaf = if !counts.above(leaf_of_group) && of_leaf.len() <= MOST_AT_HORIZON {
                 let width = |place| self.horizon_width(place, weights.aim);
                 share(width(place), of_leaf.map(width).sum())
             } else {

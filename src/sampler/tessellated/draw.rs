@@ -61,7 +61,7 @@ pub(super) struct Block {
 /// The group turned out to have no light above the horizon.
 const NO_LEAF: u32 = u32::MAX;
 
-/// Set in a leaf's slot where its cells are drawn by their cosine, too.
+/// Set in a leaf's slot where the leaf crosses the horizon.
 const AT_HORIZON: u32 = 1 << 31;
 
 /// The cell is drawn from the group's own CDF, by energy alone.
@@ -276,7 +276,7 @@ impl Block {
                     LeafCounts::new(&sampler.triangles.leaves[group as usize], weights.aim)
                 }),
             };
-            self.leaf(sampler, counts, weights.is_fine(), i);
+            self.leaf(sampler, counts, i);
         }
         for &i in by_leaf {
             if self.leaf[i] != NO_LEAF {
@@ -288,7 +288,7 @@ impl Block {
 
     /// The leaf that a number falls to, which memory is asked for.
     #[inline(always)]
-    fn leaf(&mut self, sampler: &Tessellated, counts: &LeafCounts, is_fine: bool, i: usize) {
+    fn leaf(&mut self, sampler: &Tessellated, counts: &LeafCounts, i: usize) {
         let total = counts.total();
         if total == 0 {
             // The group's cone crosses the horizon, none of its leaves' cones does: it holds no light for this normal.
@@ -307,7 +307,7 @@ impl Block {
         if !counts.above(slot) {
             // The control variate covers what its integral does.
             self.control[i] = 0.0;
-            self.leaf[i] |= if is_fine { AT_HORIZON } else { 0 };
+            self.leaf[i] |= AT_HORIZON;
         }
     }
 
@@ -399,8 +399,8 @@ pub(super) const MOST_AT_HORIZON: usize = 256;
 impl Tessellated {
     /// The counts of a cell in a leaf that crosses the horizon: positive wherever a part of it is above.
     pub(super) fn horizon_width(&self, place: u32, aim: Aim) -> u32 {
-        let center = self.cells.sides(self.texels.order()[place as usize].place).direction(0.5, 0.5);
-        let cosine = center.dot(aim.axis) + self.cells.half_diagonal() as f32 + aim.radius;
+        let middle = self.cells.cosine(self.texels.order()[place as usize].place, aim.axis);
+        let cosine = middle + self.cells.half_diagonal() as f32 + aim.radius;
         if cosine <= 0.0 {
             return 0;
         }

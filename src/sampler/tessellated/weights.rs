@@ -187,13 +187,6 @@ fn irradiance_len(triangles: &Preconvolution) -> usize {
 }
 
 impl Weights {
-    /// Whether cells are drawn by their cosine, too, in leaves that cross the horizon: where there is no control variate.
-    /// (Beside one it is half a percent of the error for two to four of the time.)
-    #[inline(always)]
-    pub(super) fn is_fine(&self) -> bool {
-        self.purpose.subject.cell().is_none()
-    }
-
     /// Whether a group's cells are drawn by energy alone.
     #[inline(always)]
     pub(super) fn goes_by_energy(&self, group: usize) -> bool {
