@@ -22,8 +22,10 @@ impl<T: Pod> Row<T> {
     /// `len` zeros.
     pub(super) fn new(len: usize) -> Self {
         let bytes = len * size_of::<T>();
-        let map = MmapMut::map_anon(bytes + PAGE).expect("anonymous memory is refused when there is none left");
-        let begin = map.as_ptr().align_offset(PAGE);
+        // Room to begin where a large page does, if the row can fill one.
+        let room = if bytes < PAGE { 1 } else { PAGE };
+        let map = MmapMut::map_anon(bytes + room).expect("anonymous memory is refused when there is none left");
+        let begin = if bytes < PAGE { 0 } else { map.as_ptr().align_offset(PAGE) };
         // Only advice: a system without large pages has small ones.
         #[cfg(target_os = "linux")]
         let _ = map.advise(memmap2::Advice::HugePage);
