@@ -37,8 +37,6 @@ pub(super) struct Texels {
     /// Where each cell's counts begin in its group's CDF; parallel to `order`, and one 0 more.
     begins: Row<u32>,
     /// By slot.
-    pub(super) groups: Vec<Span>,
-    /// By slot.
     pub(super) leaves: Vec<Span>,
     /// From a group's counts to its cells.
     pub(super) buckets: Buckets,
@@ -51,11 +49,11 @@ impl Texels {
         order.get_mut().par_iter_mut().zip(&tessellation.cells).for_each(|(to, cell)| *to = lit(cell));
         let mut begins = Row::new(tessellation.cells.len() + 1);
         let mut leaves: Vec<Span> = triangles.cells.iter().map(span).collect();
-        let mut groups: Vec<Span> = leaves.chunks(LEAVES_A_GROUP).map(around).collect();
+        let groups: Vec<Span> = leaves.chunks(LEAVES_A_GROUP).map(around).collect();
         let mut buckets = Buckets::new(groups.iter().map(|group| (group.end - group.begin) as usize));
 
         // Every group its own piece of the beginnings, in the order in which they follow each other.
-        let mut jobs: Vec<_> = groups.iter_mut().zip(leaves.chunks_mut(LEAVES_A_GROUP)).zip(buckets.rooms()).collect();
+        let mut jobs: Vec<_> = groups.iter().zip(leaves.chunks_mut(LEAVES_A_GROUP)).zip(buckets.rooms()).collect();
         jobs.sort_unstable_by_key(|((group, _), _)| group.begin);
         let mut rest = begins.get_mut();
         let mut pieces = Vec::with_capacity(jobs.len());
@@ -81,14 +79,13 @@ impl Texels {
             let widths = begins.iter().skip(1).chain([&at]).zip(&*begins).map(|(end, begin)| end - begin);
             let brightest = widths.enumerate().max_by_key(|&(_, width)| width).map_or(0, |(i, _)| i);
             begins[brightest + 1..].iter_mut().for_each(|begin| *begin += COUNTS - at);
-            group.counts = COUNTS;
             for leaf in leaves.iter_mut().filter(|leaf| leaf.end > leaf.begin) {
                 leaf.first = begins[(leaf.begin - group.begin) as usize];
                 leaf.counts = begins.get((leaf.end - group.begin) as usize).unwrap_or(&COUNTS) - leaf.first;
             }
             room.fill(group.begin, begins);
         });
-        Self { order, begins, groups, leaves, buckets }
+        Self { order, begins, leaves, buckets }
     }
 
     /// Where each cell's counts begin in its group's CDF.
@@ -112,7 +109,6 @@ impl Texels {
     pub(super) fn bytes(&self) -> usize {
         size_of_val(self.order.get())
             + size_of_val(self.begins.get())
-            + size_of_val(&self.groups[..])
             + size_of_val(&self.leaves[..])
             + self.buckets.bytes()
     }
