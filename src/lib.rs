@@ -34,6 +34,7 @@ pub mod hash;
 pub mod integrator;
 pub mod metrics;
 pub mod output;
+mod pages;
 pub mod random;
 pub mod registry;
 pub mod render;

@@ -2,6 +2,7 @@
 
 #[macro_use]
 mod say;
+mod allocator;
 mod cli;
 mod commands;
 mod markup;

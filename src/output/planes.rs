@@ -4,6 +4,7 @@
 //! process: the header is judged before anything of the image's size is allocated, blocks are decoded where a panic is
 //! caught, and every message says what to do.
 
+use crate::pages;
 use exr::block::chunk::{Chunk, CompressedBlock};
 use exr::block::reader::{ChunksReader, Reader};
 use exr::block::{self, UncompressedBlock};
@@ -236,9 +237,9 @@ fn judge(header: &Header, bytes: u64) -> Decoded<()> {
 
 /// `count` zeros, or an error where there is no memory for them.
 pub(crate) fn zeros(count: usize) -> Decoded<Vec<f32>> {
-    let mut probe = Vec::<f32>::new();
-    probe.try_reserve_exact(count).map_err(|_| format!("no memory for {count} texels; scale the image down"))?;
-    drop(probe);
+    if !pages::are_free(count.saturating_mul(size_of::<f32>())) {
+        return Err(format!("no memory for {count} texels; scale the image down"));
+    }
     // Fresh pages, touched only as they are filled.
     Ok(vec![0.0; count])
 }

@@ -27,7 +27,6 @@ mod lanes;
 mod leaves;
 mod memory;
 mod normals;
-mod pages;
 mod seed;
 mod texels;
 mod walk;

@@ -5,6 +5,7 @@ use super::asset::{Asset, Warnings};
 use super::load::SceneChoice;
 use super::{Camera, Projection};
 use crate::error::Result;
+use crate::pages;
 use glam::{Affine3A, DAffine3, DMat3, DMat4, DQuat, DVec3, Mat3A, Vec3A};
 use gltf::json::camera::Type as CameraType;
 use gltf::json::scene::Node;
@@ -67,7 +68,7 @@ pub(super) fn flatten(asset: &Asset, choice: Option<&SceneChoice>, warnings: &mu
                             "nodes[{i}] makes {total} copies in all; at most {MOST_COPIES} are read: split the file"
                         )));
                     }
-                    if out.placements.try_reserve(copies.len()).is_err() {
+                    if !pages::are_free(total * size_of::<Placement>()) {
                         return Err(asset.error(format!(
                             "nodes[{i}] makes {total} copies in all, more than memory holds: split the file"
                         )));

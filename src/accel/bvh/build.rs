@@ -5,8 +5,8 @@
 //! together at the end, in parallel, all trees of a scene into one [`Forest`].
 
 use super::node::{Aabb, BLOCK, Block, Forest, INSTANCE, Ids, LEAF, Node, Root, WIDTH};
-use super::pages::Pages;
 use super::split::{Info, split};
+use crate::pages::Pages;
 use glam::Vec3;
 use rayon::prelude::*;
 

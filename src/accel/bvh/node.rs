@@ -4,7 +4,7 @@
 //! the order in which its rays pass the children. Sorting by that order at a visit takes one permutation instead of a
 //! sort by distance.
 
-use super::pages::Pages;
+use crate::pages::Pages;
 use glam::Vec3A;
 
 /// Children of a node.

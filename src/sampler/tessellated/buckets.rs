@@ -4,13 +4,16 @@
 //! line: where the first one is along the curve, and where the counts of each begin, as far as the first cell beyond.
 //! Domes are larger than caches: a search through the CDF itself waits for memory at every other step.
 
-use super::pages::Row;
 use super::texels::COUNTS;
+use crate::pages::Pages;
 use crate::simd::prefetch;
+use bytemuck::{Pod, Zeroable};
 use std::hint::select_unpredictable;
 
 /// A line of memory: the first cell's place, then beginnings, then [`NONE`].
-type Line = [u32; 16];
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C, align(64))]
+struct Line([u32; 16]);
 
 /// Cells to a bucket, about. (With eight a 4096×2048 dome takes 13 MB more for no more speed.)
 const CELLS_A_BUCKET: usize = 10;
@@ -44,7 +47,7 @@ impl Lines {
 /// The buckets of all groups.
 #[derive(Debug)]
 pub(super) struct Buckets {
-    lines: Row<Line>,
+    lines: Pages<Line>,
     /// By the group's slot.
     groups: Vec<Lines>,
 }
@@ -70,12 +73,12 @@ impl Buckets {
                 lines
             })
             .collect();
-        Self { lines: Row::new(first as usize), groups }
+        Self { lines: Pages::zeroed(first as usize), groups }
     }
 
     /// The room of each group, to be filled.
     pub(super) fn rooms(&mut self) -> impl Iterator<Item = Room<'_>> {
-        let mut rest = self.lines.get_mut();
+        let mut rest = &mut self.lines[..];
         self.groups.iter().map(move |&of_group| {
             let lines = rest.split_off_mut(..of_group.count as usize).expect("as many as all groups have");
             Room { of_group, lines }
@@ -86,14 +89,14 @@ impl Buckets {
     #[inline(always)]
     pub(super) fn ask_for(&self, group: u32, at: u32) -> u32 {
         let line = self.groups[group as usize].of(at);
-        prefetch(self.lines.get(), line as usize);
+        prefetch(&self.lines, line as usize);
         line
     }
 
     /// The cell in a line that count `at` of its group falls to. `begins` are those of all cells.
     #[inline(always)]
     pub(super) fn find(&self, line: u32, at: u32, begins: &[u32]) -> Found {
-        let line = &self.lines.get()[line as usize];
+        let Line(line) = &self.lines[line as usize];
         let [place, beginnings @ ..] = line;
         if place & CROWDED != 0 {
             let place = search(begins, [place & !CROWDED, beginnings[0]], at);
@@ -106,7 +109,7 @@ impl Buckets {
     }
 
     pub(super) fn bytes(&self) -> usize {
-        size_of_val(self.lines.get()) + size_of_val(&self.groups[..])
+        size_of_val(&self.lines[..]) + size_of_val(&self.groups[..])
     }
 }
 
@@ -121,7 +124,7 @@ impl Room<'_> {
     pub(super) fn fill(self, place: u32, begins: &[u32]) {
         let Self { of_group, lines } = self;
         let mut first = 0;
-        for (i, line) in lines.iter_mut().enumerate() {
+        for (i, Line(line)) in lines.iter_mut().enumerate() {
             let (from, to) = (of_group.begin(i), of_group.begin(i + 1));
             while begins.get(first + 1).is_some_and(|&next| next <= from) {
                 first += 1;
@@ -192,8 +195,8 @@ mod tests {
             room.fill(place, of_group);
             place += of_group.len() as u32;
         }
-        let crowded = buckets.lines.get().iter().filter(|line| line[0] & CROWDED != 0).count();
-        assert!((1..buckets.lines.get().len() / 2).contains(&crowded), "both kinds are tried: {crowded}");
+        let crowded = buckets.lines.iter().filter(|Line(line)| line[0] & CROWDED != 0).count();
+        assert!((1..buckets.lines.len() / 2).contains(&crowded), "both kinds are tried: {crowded}");
         let mut first = 0;
         for (group, of_group) in groups.iter().enumerate() {
             let edges = of_group.iter().flat_map(|&begin| [begin.saturating_sub(1), begin, begin + 1]);

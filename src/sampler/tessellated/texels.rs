@@ -4,7 +4,7 @@ use super::super::cells::{DomeCells, Place};
 use super::super::preconvolution::Preconvolution;
 use super::super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
 use super::buckets::{Buckets, counts};
-use super::pages::Row;
+use crate::pages::Pages;
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -33,9 +33,9 @@ pub(super) struct Span {
 #[derive(Debug)]
 pub(super) struct Texels {
     /// Cells along the curve.
-    order: Row<Lit>,
+    order: Pages<Lit>,
     /// Where each cell's counts begin in its group's CDF; parallel to `order`, and one 0 more.
-    begins: Row<u32>,
+    begins: Pages<u32>,
     /// By slot.
     pub(super) leaves: Vec<Span>,
     /// From a group's counts to its cells.
@@ -45,9 +45,9 @@ pub(super) struct Texels {
 impl Texels {
     pub(super) fn new(cells: &DomeCells, tessellation: &Tessellation, triangles: &Preconvolution) -> Self {
         let lit = |&cell: &u32| Lit { place: cells.locate(cell), radiance: cells.radiance(cell).to_array() };
-        let mut order = Row::new(tessellation.cells.len());
-        order.get_mut().par_iter_mut().zip(&tessellation.cells).for_each(|(to, cell)| *to = lit(cell));
-        let mut begins = Row::new(tessellation.cells.len() + 1);
+        let mut order = Pages::zeroed(tessellation.cells.len());
+        order.par_iter_mut().zip(&tessellation.cells).for_each(|(to, cell)| *to = lit(cell));
+        let mut begins = Pages::zeroed(tessellation.cells.len() + 1);
         let mut leaves: Vec<Span> = triangles.cells.iter().map(span).collect();
         let groups: Vec<Span> = leaves.chunks(LEAVES_A_GROUP).map(around).collect();
         let mut buckets = Buckets::new(groups.iter().map(|group| (group.end - group.begin) as usize));
@@ -55,7 +55,7 @@ impl Texels {
         // Every group its own piece of the beginnings, in the order in which they follow each other.
         let mut jobs: Vec<_> = groups.iter().zip(leaves.chunks_mut(LEAVES_A_GROUP)).zip(buckets.rooms()).collect();
         jobs.sort_unstable_by_key(|((group, _), _)| group.begin);
-        let mut rest = begins.get_mut();
+        let mut rest = &mut begins[..];
         let mut pieces = Vec::with_capacity(jobs.len());
         for job in jobs {
             let (piece, after) = rest.split_at_mut((job.0.0.end - job.0.0.begin) as usize);
@@ -91,7 +91,7 @@ impl Texels {
     /// Where each cell's counts begin in its group's CDF.
     #[inline(always)]
     pub(super) fn begins(&self) -> &[u32] {
-        self.begins.get()
+        &self.begins
     }
 
     /// Where a cell's counts begin in its group's, and how many they are.
@@ -103,12 +103,12 @@ impl Texels {
     /// The cells along the curve.
     #[inline(always)]
     pub(super) fn order(&self) -> &[Lit] {
-        self.order.get()
+        &self.order
     }
 
     pub(super) fn bytes(&self) -> usize {
-        size_of_val(self.order.get())
-            + size_of_val(self.begins.get())
+        size_of_val(&self.order[..])
+            + size_of_val(&self.begins[..])
             + size_of_val(&self.leaves[..])
             + self.buckets.bytes()
     }
