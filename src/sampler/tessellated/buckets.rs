@@ -4,6 +4,8 @@
 //! line: where the first one is along the curve, and where the counts of each begin, as far as the first cell beyond.
 //! Domes are larger than caches: a search through the CDF itself waits for memory at every other step.
 
+use super::draw::BLOCK;
+use super::lanes;
 use super::texels::COUNTS;
 use crate::pages::Pages;
 use crate::simd::prefetch;
@@ -13,7 +15,7 @@ use std::hint::select_unpredictable;
 /// A line of memory: the first cell's place, then beginnings, then [`NONE`].
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C, align(64))]
-struct Line([u32; 16]);
+pub(super) struct Line(pub(super) [u32; 16]);
 
 /// Cells to a bucket, about. (With eight a 4096×2048 dome takes 13 MB more for no more speed.)
 const CELLS_A_BUCKET: usize = 10;
@@ -85,31 +87,52 @@ impl Buckets {
         })
     }
 
-    /// The line of a group's count `at`, which memory is asked for.
+    /// To look counts up in.
     #[inline(always)]
-    pub(super) fn ask_for(&self, group: u32, at: u32) -> u32 {
-        let line = self.groups[group as usize].of(at);
-        prefetch(&self.lines, line as usize);
-        line
-    }
-
-    /// The cell in a line that count `at` of its group falls to. `begins` are those of all cells.
-    #[inline(always)]
-    pub(super) fn find(&self, line: u32, at: u32, begins: &[u32]) -> Found {
-        let Line(line) = &self.lines[line as usize];
-        let [place, beginnings @ ..] = line;
-        if place & CROWDED != 0 {
-            let place = search(begins, [place & !CROWDED, beginnings[0]], at);
-            let (begin, width) = counts(begins, place);
-            return Found { place, begin, width };
-        }
-        let begun = beginnings.iter().map(|&begin| u32::from(begin <= at)).sum::<u32>();
-        let (begin, end) = (line[begun as usize % line.len()], line[(begun as usize + 1) % line.len()]);
-        Found { place: place + begun - 1, begin, width: end - begin }
+    pub(super) fn view(&self) -> View<'_> {
+        View { lines: &self.lines, groups: &self.groups }
     }
 
     pub(super) fn bytes(&self) -> usize {
         size_of_val(&self.lines[..]) + size_of_val(&self.groups[..])
+    }
+}
+
+/// The buckets, for a block of look-ups.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct View<'a> {
+    lines: &'a [Line],
+    groups: &'a [Lines],
+}
+
+impl View<'_> {
+    /// The line of a group's count `at`, which memory is asked for.
+    #[inline(always)]
+    pub(super) fn ask_for(&self, group: u32, at: u32) -> u32 {
+        let line = self.groups[group as usize].of(at);
+        prefetch(self.lines, line as usize);
+        line
+    }
+
+    /// Which beginning in its line is the last that does not exceed a count `at`, for each of a block.
+    #[inline(always)]
+    pub(super) fn begun(&self, line: &[u32], at: &[u32; BLOCK]) -> [u32; BLOCK] {
+        lanes::begun(self.lines, line, at)
+    }
+
+    /// The cell in a line that count `at` of its group falls to, where `begun` is the last beginning that does not
+    /// exceed it. `begins` are those of all cells.
+    #[inline(always)]
+    pub(super) fn cell(&self, line: u32, begun: u32, at: u32, begins: &[u32]) -> Found {
+        let Line(line) = &self.lines[line as usize];
+        let place = line[0];
+        if place & CROWDED != 0 {
+            let place = search(begins, [place & !CROWDED, line[1]], at);
+            let (begin, width) = counts(begins, place);
+            return Found { place, begin, width };
+        }
+        let (begin, end) = (line[begun as usize % line.len()], line[(begun as usize + 1) % line.len()]);
+        Found { place: place + begun - 1, begin, width: end - begin }
     }
 }
 
@@ -198,6 +221,7 @@ mod tests {
         let crowded = buckets.lines.iter().filter(|Line(line)| line[0] & CROWDED != 0).count();
         assert!((1..buckets.lines.len() / 2).contains(&crowded), "both kinds are tried: {crowded}");
         let mut first = 0;
+        let buckets = buckets.view();
         for (group, of_group) in groups.iter().enumerate() {
             let edges = of_group.iter().flat_map(|&begin| [begin.saturating_sub(1), begin, begin + 1]);
             let anywhere = (0..1000).map(|i| random::hash(&[i]) / 2);
@@ -206,7 +230,9 @@ mod tests {
                 let end = of_group.get(cell + 1).unwrap_or(&COUNTS);
                 let begin = of_group[cell];
                 let expected = Found { place: first + cell as u32, begin, width: end - begin };
-                assert_eq!(buckets.find(buckets.ask_for(group as u32, at), at, &begins), expected, "{group}: {at}");
+                let line = buckets.ask_for(group as u32, at);
+                let begun = buckets.begun(&[line], &[at; BLOCK])[0];
+                assert_eq!(buckets.cell(line, begun, at, &begins), expected, "{group}: {at}");
             }
             first += of_group.len() as u32;
         }

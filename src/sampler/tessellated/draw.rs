@@ -253,7 +253,7 @@ impl Block {
     #[inline(always)]
     fn lines(&mut self, sampler: &Tessellated, weights: &Weights, memo: &mut LeafMemo, count: usize) {
         let table = weights.purpose.subject.cell().and_then(|cell| sampler.table[cell].get());
-        let buckets = &sampler.texels.buckets;
+        let buckets = sampler.texels.buckets.view();
         // No branch: which way a number goes is nearly a coin's toss.
         let (mut by_leaf, mut many) = ([0; BLOCK], 0);
         for i in 0..count {
@@ -322,8 +322,10 @@ impl Block {
     fn cells(&mut self, sampler: &Tessellated, aim: Aim, count: usize) {
         let texels = &sampler.texels;
         let begins = texels.begins();
+        let buckets = texels.buckets.view();
+        let begun = buckets.begun(&self.line[..count], &self.at);
         for i in 0..count {
-            let Found { place, begin, width } = texels.buckets.find(self.line[i], self.at[i], begins);
+            let Found { place, begin, width } = buckets.cell(self.line[i], begun[i], self.at[i], begins);
             (self.along[i], self.offset[i], self.width[i]) = (place, self.at[i] - begin, width);
         }
         let order = texels.order();

@@ -1,7 +1,8 @@
-//! The groups' CDF, lane by lane, and the search in it for a block of numbers at once.
+//! Searches for a block of numbers at once: in the groups' CDF, lane by lane, and in the buckets' lines.
 
-#![allow(unsafe_code, reason = "a kernel for AVX-512, which looks a row up in a register; `portable` is its twin")]
+#![allow(unsafe_code, reason = "kernels for AVX-512, which takes sixteen words as one; each has a portable twin")]
 
+use super::buckets::Line;
 use super::draw::BLOCK;
 use crate::sampler::preconvolution::GROUP_LANES;
 use crate::simd;
@@ -26,14 +27,14 @@ pub(super) fn find(rows: &[Row], lane: &[u32; BLOCK], at: &[u32; BLOCK]) -> Foun
     #[cfg(target_arch = "x86_64")]
     if simd::has_avx512() {
         // SAFETY: The processor has AVX-512 F.
-        return unsafe { avx512(rows, lane, at) };
+        return unsafe { find_avx512(rows, lane, at) };
     }
-    portable(rows, lane, at)
+    find_portable(rows, lane, at)
 }
 
 /// Number by number.
 #[inline(always)]
-fn portable(rows: &[Row], lane: &[u32; BLOCK], at: &[u32; BLOCK]) -> Found {
+fn find_portable(rows: &[Row], lane: &[u32; BLOCK], at: &[u32; BLOCK]) -> Found {
     let mut found = Found { row: [0; BLOCK], begin: [0; BLOCK], end: [0; BLOCK] };
     // As many as there usually are.
     let many: Option<&[_; 33]> = rows.try_into().ok();
@@ -79,7 +80,7 @@ fn halve_in<const ROWS: usize>(rows: &[Row; ROWS], lane: usize, at: u32) -> usiz
 /// The processor has AVX-512 F.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f")]
-unsafe fn avx512(rows: &[Row], lane: &[u32; BLOCK], at: &[u32; BLOCK]) -> Found {
+unsafe fn find_avx512(rows: &[Row], lane: &[u32; BLOCK], at: &[u32; BLOCK]) -> Found {
     use std::arch::x86_64::*;
     const { assert!(BLOCK == 16 && GROUP_LANES == 16, "a register's lanes") };
     // SAFETY: All loads and stores are of whole arrays of sixteen.
@@ -103,10 +104,82 @@ unsafe fn avx512(rows: &[Row], lane: &[u32; BLOCK], at: &[u32; BLOCK]) -> Found 
     }
 }
 
+/// For each number `at`, the last word of its line that does not exceed it. After the first word, which is no matter, a
+/// line's words rise.
+#[inline(always)]
+pub(super) fn begun(lines: &[Line], line: &[u32], at: &[u32; BLOCK]) -> [u32; BLOCK] {
+    #[cfg(target_arch = "x86_64")]
+    if simd::has_avx512() {
+        // SAFETY: The processor has AVX-512 F and what comes before it.
+        return unsafe { begun_avx512(lines, line, at) };
+    }
+    begun_portable(lines, line, at)
+}
+
+/// By halves.
+#[inline(always)]
+fn begun_portable(lines: &[Line], line: &[u32], at: &[u32; BLOCK]) -> [u32; BLOCK] {
+    let mut all = [0; BLOCK];
+    for ((begun, &line), &at) in all.iter_mut().zip(line).zip(at) {
+        let Line(words) = &lines[line as usize];
+        for step in [8, 4, 2, 1] {
+            let next = *begun | step;
+            *begun = select_unpredictable(words[next as usize % words.len()] <= at, next, *begun);
+        }
+    }
+    all
+}
+
+/// A line is a register, and one comparison is all.
+///
+/// # Safety
+/// The processor has AVX-512 F and POPCNT.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,popcnt")]
+unsafe fn begun_avx512(lines: &[Line], line: &[u32], at: &[u32; BLOCK]) -> [u32; BLOCK] {
+    use std::arch::x86_64::*;
+    let mut all = [0; BLOCK];
+    for ((begun, &line), &at) in all.iter_mut().zip(line).zip(at) {
+        let Line(words) = &lines[line as usize];
+        // SAFETY: A load of a whole array of sixteen.
+        let words = unsafe { _mm512_loadu_si512(words.as_ptr().cast()) };
+        let not_above = _mm512_cmple_epu32_mask(words, _mm512_set1_epi32(at as i32));
+        *begun = (not_above >> 1).count_ones();
+    }
+    all
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::random;
+
+    /// Lines of all lengths, with first words below and above.
+    #[test]
+    fn a_line_is_read_as_by_counting() {
+        let line = |i: u32| {
+            let end = 2 + random::hash(&[i]) as usize % 14;
+            let mut words = [u32::MAX; 16];
+            for (k, word) in words[1..=end].iter_mut().enumerate() {
+                *word = k as u32 * 8 + random::hash(&[i, k as u32]) % 8;
+            }
+            words[0] = random::hash(&[i, 99]) % 200;
+            Line(words)
+        };
+        let lines: Vec<Line> = (0..100).map(line).collect();
+        for i in 0..lines.len() - BLOCK {
+            let places: [u32; BLOCK] = std::array::from_fn(|k| (i + k) as u32);
+            for at in 8..128 {
+                let ats = std::array::from_fn(|k| at + k as u32);
+                let found = begun(&lines, &places, &ats);
+                assert_eq!(found, begun_portable(&lines, &places, &ats));
+                for (k, found) in found.into_iter().enumerate() {
+                    let Line(words) = lines[i + k];
+                    assert_eq!(found as usize, words[1..].iter().filter(|&&word| word <= ats[k]).count(), "{words:?}");
+                }
+            }
+        }
+    }
 
     /// Lanes of many and of few counts, with groups of none in the middle, at both ends, and throughout.
     #[test]
@@ -130,7 +203,7 @@ mod tests {
                 });
                 let at = std::array::from_fn(|i| word(i, 1) % sums[rows][lane[i] as usize]);
                 let found = find(&sums, &lane, &at);
-                assert_eq!(found, portable(&sums, &lane, &at), "{rows} rows");
+                assert_eq!(found, find_portable(&sums, &lane, &at), "{rows} rows");
                 for i in 0..BLOCK {
                     let (row, lane) = (found.row[i] as usize, lane[i] as usize);
                     assert_eq!((found.begin[i], found.end[i]), (sums[row][lane], sums[row + 1][lane]));
