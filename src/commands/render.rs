@@ -59,7 +59,13 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     args.say_warnings(&scene);
 
     let clock = Instant::now();
-    let dome = Arc::new(dome::load::load(&args.input.dome, args.input.dome_rotate, args.input.dome_scale)?);
+    // The files as they are now: what becomes of them during a long render is no reason to lose it.
+    let (dome, hashes) = rayon::join(
+        || dome::load::load(&args.input.dome, args.input.dome_rotate, args.input.dome_scale),
+        || [&args.input.scene_file, &args.input.dome].map(|path| sha256_file(path)),
+    );
+    let (dome, [scene_sha256, dome_sha256]) = (Arc::new(dome?), hashes);
+    let (scene_sha256, dome_sha256) = (scene_sha256?, dome_sha256?);
     times.dome_s = clock.elapsed().as_secs_f64();
     args.say_dome(&dome);
     let setup = Setup { size: settings.size, gloss: scene.needs.gloss, rays: settings.rays, spp: settings.spp };
@@ -97,8 +103,8 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     let report = Report {
         times,
         params: [&accel_params, &sampler_params, &integrator_params].map(Params::to_string),
-        scene_sha256: sha256_file(&args.input.scene_file)?,
-        dome_sha256: sha256_file(&args.input.dome)?,
+        scene_sha256,
+        dome_sha256,
         seed: settings.seed,
         rays: settings.rays,
         threads,

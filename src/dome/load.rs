@@ -13,6 +13,7 @@ use exr::meta::attribute::EnvironmentMap;
 use exr::meta::header::Header;
 use image::ImageDecoder;
 use image::codecs::hdr::HdrDecoder;
+use rayon::prelude::*;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -151,7 +152,7 @@ fn decode_exr(file: File, bytes: u64) -> Decoded<Image> {
     let plane = |k: usize| &found[k.min(found.len() - 1)];
     let colour = |i: usize| [plane(0)[i], plane(1)[i], plane(2)[i]];
     if data == window.size && at == window.position {
-        return Ok(Image { width, height, texels: (0..data.area()).map(colour).collect() });
+        return Ok(Image { width, height, texels: (0..data.area()).into_par_iter().map(colour).collect() });
     }
     let shift = |k: fn(Vec2<i32>) -> i32| i64::from(k(window.position)) - i64::from(k(at));
     let (dx, dy) = (shift(|v| v.0), shift(|v| v.1));
@@ -185,9 +186,26 @@ fn decode_hdr(file: File, bytes: u64) -> Decoded<Image> {
 
 /// Scales and repairs; see the module.
 fn clean(texels: &mut [[f32; 3]], scale: f64) -> Decoded<Faults> {
+    let portions = texels.par_chunks_mut(1 << 14).map(|portion| clean_finite(portion, scale));
+    let (faults, largest) = portions.reduce(Default::default, |(a, high), (b, higher)| {
+        let faults =
+            Faults { negative: a.negative + b.negative, nan: a.nan + b.nan, infinite: a.infinite + b.infinite };
+        (faults, high.max(higher))
+    });
+    if faults.infinite > 0 {
+        if faults.infinite == texels.len() as u64 && largest == 0.0 && scale > 0.0 {
+            return Err("every texel is infinite; export it again as 32-bit float (or scale it down)".into());
+        }
+        texels.iter_mut().flatten().filter(|v| v.is_infinite()).for_each(|v| *v = largest);
+    }
+    Ok(faults)
+}
+
+/// The same for a portion, but that infinities stay, all positive. Also gives the largest of the other values.
+fn clean_finite(texels: &mut [[f32; 3]], scale: f64) -> (Faults, f32) {
     let mut faults = Faults::default();
     let mut largest = 0.0f32;
-    for texel in texels.iter_mut() {
+    for texel in texels {
         let (mut negative, mut nan, mut infinite) = (false, false, false);
         for value in texel.iter_mut() {
             // An infinity times 0 would be a NaN, and hide what was wrong.
@@ -204,13 +222,7 @@ fn clean(texels: &mut [[f32; 3]], scale: f64) -> Decoded<Faults> {
         faults.nan += u64::from(nan);
         faults.infinite += u64::from(infinite);
     }
-    if faults.infinite > 0 {
-        if faults.infinite == texels.len() as u64 && largest == 0.0 && scale > 0.0 {
-            return Err("every texel is infinite; export it again as 32-bit float (or scale it down)".into());
-        }
-        texels.iter_mut().flatten().filter(|v| v.is_infinite()).for_each(|v| *v = largest);
-    }
-    Ok(faults)
+    (faults, largest)
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@
 //! the rounding. Triangles follow one continuous curve over the sphere (a child's curve enters where its predecessor's
 //! ended): neighbours along the curve are neighbours on the dome, so one stratified number stratifies directions.
 
+use bytemuck::Zeroable;
 use glam::{DQuat, DVec3, EulerRot, Vec3};
 use rayon::prelude::*;
 use std::collections::BinaryHeap;
@@ -45,7 +46,7 @@ pub struct Tessellation {
 }
 
 /// A lit cell on its way down: with what every split asks for.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Zeroable)]
 struct Lit {
     cell: u32,
     center: Vec3,
@@ -153,7 +154,7 @@ impl Tessellation {
     }
 
     fn of(nodes: Vec<Node>, order: Vec<Lit>) -> Self {
-        let mut result = Self { cells: order.iter().map(|lit| lit.cell).collect(), ..Self::default() };
+        let mut result = Self { cells: order.par_iter().map(|lit| lit.cell).collect(), ..Self::default() };
         drop(order);
         for node in nodes {
             if result.groups.len() <= node.group {
@@ -338,15 +339,25 @@ fn sort_into_faces(cells: &impl Cells) -> (Sorted, Vec<Node>) {
         let share = (cells.energy(cell) / total) as f32;
         Lit { cell, center: cells.center(cell).as_vec3(), share }
     };
-    let (mut order, mut nodes) = (Vec::with_capacity(cells.count()), Vec::new());
+    let mut order: Vec<Lit> = bytemuck::zeroed_vec(portions.iter().flat_map(|(found, _)| found).map(Vec::len).sum());
+    let (mut rest, mut end) = (&mut order[..], 0);
+    let (mut pieces, mut nodes) = (Vec::new(), Vec::new());
     for (i, &corners) in path.iter().enumerate() {
-        let begin = order.len();
-        portions.iter().for_each(|(found, _)| order.extend(found[i].iter().map(lit)));
-        if order.len() > begin {
+        let begin = end;
+        for (found, _) in &portions {
+            pieces.push((rest.split_off_mut(..found[i].len()).expect("room for all"), &found[i]));
+            end += found[i].len();
+        }
+        if end > begin {
             let energy = portions.iter().map(|(_, energy)| energy[i]).sum();
-            nodes.push(Node { corners, cells: begin..order.len(), energy, square: 0.0, depth: 0, group: nodes.len() });
+            nodes.push(Node { corners, cells: begin..end, energy, square: 0.0, depth: 0, group: nodes.len() });
         }
     }
+    pieces.into_par_iter().for_each(|(piece, found)| {
+        for (to, cell) in piece.iter_mut().zip(found) {
+            *to = lit(cell);
+        }
+    });
     (Sorted { cells: order, energy: total }, nodes)
 }
 

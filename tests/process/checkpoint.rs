@@ -5,6 +5,7 @@ use domelight::accel;
 use domelight::checkpoint::{self, Checkpoint};
 use domelight::dome;
 use domelight::film::{Aov, Filter};
+use domelight::hash::sha256_file;
 use domelight::integrator::INTEGRATORS;
 use domelight::registry::resolve;
 use domelight::render::{Background, Picture, Render, Settings, Watch};
@@ -113,17 +114,48 @@ fn a_killed_render_is_finished_from_its_checkpoint() {
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
-    let start = Instant::now();
     // Some passes in: the checkpoint has been replaced at least once.
-    while passes(&kept).is_none_or(|passes| passes < 3) {
-        assert!(start.elapsed() < Duration::from_secs(60), "no checkpoint appeared");
-        std::thread::sleep(Duration::from_millis(2));
-    }
+    wait_for(&kept, 3);
     child.kill().unwrap();
     child.wait().unwrap();
     assert!(!out.exists(), "it was killed too late to tell");
     base().args(["--threads", "1", "--tile", "64", "--resume"]).arg(&kept).arg("-o").arg(&out).assert().code(0);
     assert!(bits(&whole) == bits(&out), "the resumed picture is another one");
+}
+
+/// The scene and the dome are moved away while they are rendered: that is no reason to lose the picture.
+#[test]
+fn files_that_go_away_during_a_render_are_not_missed() {
+    let folder = tempfile::tempdir().unwrap();
+    let [scene, dome, kept] = ["scene.glb", "dome.exr", "kept"].map(|name| folder.path().join(name));
+    let [out, stats] = ["out.exr", "stats.json"].map(|name| folder.path().join(name));
+    std::fs::copy(repo("scenes/materials.glb"), &scene).unwrap();
+    std::fs::copy(repo("scenes/window.exr"), &dome).unwrap();
+    let hashes = [&scene, &dome].map(|path| sha256_file(path).unwrap());
+    let mut child = std::process::Command::new(assert_cmd::cargo::cargo_bin("domelight"))
+        .args(["render".as_ref(), scene.as_os_str(), "--dome".as_ref(), dome.as_os_str()])
+        .args(LONG)
+        .args(["--checkpoint-every", "0"])
+        .args(["--checkpoint".as_ref(), kept.as_os_str(), "--stats".as_ref(), stats.as_os_str()])
+        .args(["-o".as_ref(), out.as_os_str()])
+        .spawn()
+        .unwrap();
+    wait_for(&kept, 1);
+    assert!(!out.exists(), "it was too quick to tell");
+    [&scene, &dome].map(|path| std::fs::remove_file(path).unwrap());
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+    assert!(!bits(&out).is_empty());
+    let stats: Value = serde_json::from_slice(&std::fs::read(&stats).unwrap()).unwrap();
+    assert_eq!(["scene_sha256", "dome_sha256"].map(|key| stats[key].as_str().unwrap().to_owned()), hashes);
+}
+
+/// Waits until a checkpoint has so many passes behind it.
+fn wait_for(kept: &Path, least: u64) {
+    let start = Instant::now();
+    while passes(kept).is_none_or(|passes| passes < least) {
+        assert!(start.elapsed() < Duration::from_secs(60), "no checkpoint appeared");
+        std::thread::sleep(Duration::from_millis(2));
+    }
 }
 
 /// How many passes a checkpoint has behind it, read from its header.

@@ -324,8 +324,8 @@ impl Block {
         let begins = texels.begins();
         let buckets = texels.buckets.view();
         let begun = buckets.begun(&self.line[..count], &self.at);
-        for i in 0..count {
-            let Found { place, begin, width } = buckets.cell(self.line[i], begun[i], self.at[i], begins);
+        for (i, &begun) in begun.iter().enumerate().take(count) {
+            let Found { place, begin, width } = buckets.cell(self.line[i], begun, self.at[i], begins);
             (self.along[i], self.offset[i], self.width[i]) = (place, self.at[i] - begin, width);
         }
         let order = texels.order();
