@@ -142,7 +142,7 @@ fn files_that_go_away_during_a_render_are_not_missed() {
         .unwrap();
     wait_for(&kept, 1);
     assert!(!out.exists(), "it was too quick to tell");
-    [&scene, &dome].map(|path| std::fs::remove_file(path).unwrap());
+    [&scene, &dome].into_iter().for_each(|path| std::fs::remove_file(path).unwrap());
     assert_eq!(child.wait().unwrap().code(), Some(0));
     assert!(!bits(&out).is_empty());
     let stats: Value = serde_json::from_slice(&std::fs::read(&stats).unwrap()).unwrap();
