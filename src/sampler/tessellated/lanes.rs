@@ -5,7 +5,6 @@
 use super::buckets::Line;
 use super::draw::BLOCK;
 use crate::sampler::preconvolution::GROUP_LANES;
-use crate::sampler::tessellation::LEAVES_A_GROUP;
 use crate::simd;
 use std::hint::select_unpredictable;
 
@@ -150,39 +149,6 @@ unsafe fn begun_avx512(lines: &[Line], line: &[u32], at: &[u32; BLOCK]) -> [u32;
     all
 }
 
-/// How many of a row's words do not exceed `at`.
-#[inline(always)]
-pub(super) fn begun_words(words: &[u16; LEAVES_A_GROUP], at: u16) -> usize {
-    #[cfg(target_arch = "x86_64")]
-    if simd::has_avx512() {
-        // SAFETY: The processor has AVX-512 BW and VL and what comes before them.
-        return unsafe { begun_words_avx512(words, at) };
-    }
-    begun_words_portable(words, at)
-}
-
-#[inline(always)]
-fn begun_words_portable(words: &[u16; LEAVES_A_GROUP], at: u16) -> usize {
-    words.iter().map(|&word| u16::from(word <= at)).sum::<u16>().into()
-}
-
-/// # Safety
-/// The processor has AVX-512 BW and VL, and POPCNT.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512bw,avx512vl,popcnt")]
-unsafe fn begun_words_avx512(words: &[u16; LEAVES_A_GROUP], at: u16) -> usize {
-    use std::arch::x86_64::*;
-    const { assert!(LEAVES_A_GROUP == 48, "a register and a half") };
-    // SAFETY: Loads of the first 32 and the last 16 of 48 words.
-    unsafe {
-        let (first, last) =
-            (_mm512_loadu_si512(words.as_ptr().cast()), _mm256_loadu_si256(words[32..].as_ptr().cast()));
-        let first = _mm512_cmple_epu16_mask(first, _mm512_set1_epi16(at as i16));
-        let last = _mm256_cmple_epu16_mask(last, _mm256_set1_epi16(at as i16));
-        (first.count_ones() + last.count_ones()) as usize
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -211,21 +177,6 @@ mod tests {
                     let Line(words) = lines[i + k];
                     assert_eq!(found as usize, words[1..].iter().filter(|&&word| word <= ats[k]).count(), "{words:?}");
                 }
-            }
-        }
-    }
-
-    #[test]
-    fn words_are_counted() {
-        for i in 0..1000 {
-            let words = std::array::from_fn(|k| (random::hash(&[i, k as u32]) >> 16) as u16);
-            for at in [0, words[7], words[40], u16::MAX, (random::hash(&[i, 99]) >> 16) as u16] {
-                let counted = words.iter().filter(|&&word| word <= at).count();
-                assert_eq!(
-                    [begun_words(&words, at), begun_words_portable(&words, at)],
-                    [counted; 2],
-                    "{at}: {words:?}"
-                );
             }
         }
     }

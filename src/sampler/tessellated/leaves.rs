@@ -2,7 +2,6 @@
 
 use super::draw::small_whole;
 use super::irradiance::{Leaves, sum};
-use super::lanes;
 use super::normals::Aim;
 use crate::random;
 use crate::sampler::preconvolution::{LEAF_LANES, LeafMoments};
@@ -13,19 +12,18 @@ const LEAF_COUNTS: u16 = u16::MAX;
 
 /// The integer CDF of a group's leaves: short, for a table holds many.
 #[derive(Debug, Clone, Copy)]
-#[repr(align(64))]
 pub(super) struct LeafCounts {
-    /// Counts before a leaf. One lane follows the other, and in it the leaves that are a row apart.
+    /// Counts before a leaf in its own lane.
     begins: [u16; LEAVES_A_GROUP],
-    /// All counts.
-    total: u16,
+    /// Counts before each lane, and all.
+    lanes: [u16; LEAF_LANES + 1],
     /// A bit a leaf: wholly above the horizon.
     above: u64,
 }
 
 impl Default for LeafCounts {
     fn default() -> Self {
-        Self { begins: [0; LEAVES_A_GROUP], total: 0, above: 0 }
+        Self { begins: [0; LEAVES_A_GROUP], lanes: [0; LEAF_LANES + 1], above: 0 }
     }
 }
 
@@ -66,15 +64,8 @@ impl LeafCounts {
                 *lane += width;
             }
         }
-        let mut before = [0; LEAF_LANES];
-        for (before, width) in before.iter_mut().zip(lanes) {
-            *before = result.total;
-            result.total += width;
-        }
-        for begins in begins {
-            for (begin, before) in begins.iter_mut().zip(before) {
-                *begin += before;
-            }
+        for (lane, width) in lanes.into_iter().enumerate() {
+            result.lanes[lane + 1] = result.lanes[lane] + width;
         }
         result
     }
@@ -82,14 +73,15 @@ impl LeafCounts {
     /// All counts.
     #[inline(always)]
     pub(super) fn total(&self) -> u32 {
-        self.total.into()
+        self.lanes[LEAF_LANES].into()
     }
 
     /// The counts of a leaf.
     #[inline(always)]
     pub(super) fn width(&self, slot: usize) -> u32 {
-        let next_lane = || self.begins[..LEAF_LANES].get(slot % LEAF_LANES + 1).unwrap_or(&self.total);
-        let end = self.begins.get(slot + LEAF_LANES).unwrap_or_else(next_lane);
+        let lane = slot % LEAF_LANES;
+        let of_lane = self.lanes[lane + 1] - self.lanes[lane];
+        let end = self.begins.get(slot + LEAF_LANES).unwrap_or(&of_lane);
         (end - self.begins[slot]).into()
     }
 
@@ -102,11 +94,17 @@ impl LeafCounts {
     /// The slot that count `at` falls to, and how far beyond its beginning.
     #[inline(always)]
     pub(super) fn find(&self, at: u32) -> (usize, u32) {
-        const ROWS: usize = LEAVES_A_GROUP / LEAF_LANES;
-        // Empty leaves begin where their successor does: the last that has begun holds the count.
-        let last = lanes::begun_words(&self.begins, at as u16) - 1;
-        let slot = last % ROWS * LEAF_LANES + last / ROWS;
-        (slot, at - u32::from(self.begins[slot]))
+        let at = at as u16;
+        // Empty lanes begin where their successor does: the last that has begun holds the count.
+        let lane = self.lanes[1..LEAF_LANES].iter().map(|&begin| usize::from(begin <= at)).sum::<usize>();
+        let at = at - self.lanes[lane];
+        let mut row = 0;
+        for next in 1..LEAVES_A_GROUP / LEAF_LANES {
+            let slot = next * LEAF_LANES + lane;
+            row += usize::from(self.begins[slot] <= at);
+        }
+        let slot = row * LEAF_LANES + lane;
+        (slot, (at - self.begins[slot]).into())
     }
 }
 
