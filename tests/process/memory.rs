@@ -69,7 +69,9 @@ fn a_build_without_enough_memory_says_so() {
     };
     for accel in domelight::accel::ACCELS.iter().map(|plugin| plugin.name).filter(|name| *name != "brute") {
         let neither = (320..480).step_by(32).map(|mib| (mib, None));
-        for (mib, fits) in [(150, Some(false)), (250, Some(false)), (2000, Some(true))].into_iter().chain(neither) {
+        for (mib, fits) in
+            [(150, Some(false)), (200, Some(false)), (250, Some(false)), (2000, Some(true))].into_iter().chain(neither)
+        {
             let output = build(accel, mib);
             let error = String::from_utf8_lossy(&output.stderr);
             match output.status.code() {
