@@ -1,8 +1,8 @@
 //! One source, several instruction sets: a [`Kernel`] is plain code over slices, compiled for AVX-512, for AVX2 and for the
 //! target's baseline, and run by what the processor has.
 //!
-//! No kernel is written in intrinsics and no operation is fused or reassociated, so the three forms give the same
-//! bits; a test holds them to it.
+//! No operation of a kernel is fused or reassociated, so the three forms give the same bits; a test holds them to it.
+//! What a kernel calls that is written in intrinsics (the tessellated sampler's searches) has a portable twin beside it.
 #![allow(
     unsafe_code,
     reason = "calls functions compiled for instruction sets that were asked for at run time; prefetches"

@@ -62,10 +62,9 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
     // The files as they are now: what becomes of them during a long render is no reason to lose it.
     let (dome, hashes) = rayon::join(
         || dome::load::load(&args.input.dome, args.input.dome_rotate, args.input.dome_scale),
-        || [&args.input.scene_file, &args.input.dome].map(|path| sha256_file(path)),
+        || Ok::<_, anyhow::Error>([sha256_file(&args.input.scene_file)?, sha256_file(&args.input.dome)?]),
     );
-    let (dome, [scene_sha256, dome_sha256]) = (Arc::new(dome?), hashes);
-    let (scene_sha256, dome_sha256) = (scene_sha256?, dome_sha256?);
+    let (dome, [scene_sha256, dome_sha256]) = (Arc::new(dome?), hashes?);
     times.dome_s = clock.elapsed().as_secs_f64();
     args.say_dome(&dome);
     let setup = Setup { size: settings.size, gloss: scene.needs.gloss, rays: settings.rays, spp: settings.spp };
