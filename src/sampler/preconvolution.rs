@@ -35,14 +35,15 @@ pub struct Moments {
     pub s: Vec<f32>,
     /// |F_t| by the radius of the disc that spreads like the triangle.
     pub r: Vec<f32>,
-    /// F_t a channel: nine rows, x of red, y of red, … z of blue.
-    pub rgb: [Vec<f32>; 9],
+    /// F_t a channel: x of red, y of red, … z of blue.
+    pub rgb: Vec<Nine>,
 }
 
 impl Moments {
     fn with_len(n: usize) -> Self {
         let row = || vec![0.0; n];
-        Self { x: row(), y: row(), z: row(), f: row(), s: row(), r: row(), rgb: std::array::from_fn(|_| row()) }
+        let rgb = vec![Nine::default(); n.div_ceil(GROUP_LANES)];
+        Self { x: row(), y: row(), z: row(), f: row(), s: row(), r: row(), rgb }
     }
 
     fn set(&mut self, i: usize, triangle: &Triangle) {
@@ -52,20 +53,30 @@ impl Moments {
         self.s[i] = triangle.s();
         self.r[i] = triangle.r();
         for (channel, f) in triangle.rgb.iter().enumerate() {
-            let f = f.as_vec3();
-            for (axis, value) in [f.x, f.y, f.z].into_iter().enumerate() {
-                self.rgb[3 * channel + axis][i] = value;
+            for (axis, value) in f.as_vec3().to_array().into_iter().enumerate() {
+                self.rgb[i / GROUP_LANES].0[3 * channel + axis][i % GROUP_LANES] = value;
             }
         }
+    }
+
+    /// F_t of one channel of triangle `i`.
+    #[inline(always)]
+    pub fn flux(&self, i: usize, channel: usize) -> Vec3 {
+        let Nine(rows) = &self.rgb[i / GROUP_LANES];
+        Vec3::from([0, 1, 2].map(|axis| rows[3 * channel + axis][i % GROUP_LANES]))
     }
 
     /// Irradiance a channel of triangle `i`, exact where it lies above the horizon of `n`.
     #[inline(always)]
     pub fn irradiance(&self, i: usize, n: Vec3) -> Vec3 {
-        let channel = |c: usize| n.x * self.rgb[3 * c][i] + n.y * self.rgb[3 * c + 1][i] + n.z * self.rgb[3 * c + 2][i];
-        Vec3::new(channel(0), channel(1), channel(2))
+        Vec3::from([0, 1, 2].map(|channel| n.dot(self.flux(i, channel))))
     }
 }
+
+/// Nine numbers for each of as many triangles as a vector register has lanes.
+#[derive(Debug, Clone, Copy, Default)]
+#[repr(align(64))]
+pub struct Nine(pub [[f32; GROUP_LANES]; 9]);
 
 /// Moments of a group's leaves, together in memory: what [`Moments`] holds of them, but for the colours.
 #[derive(Debug, Clone, Copy)]

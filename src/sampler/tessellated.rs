@@ -28,6 +28,7 @@ mod leaves;
 mod memory;
 mod normals;
 mod seed;
+mod sums;
 mod texels;
 mod walk;
 mod weights;

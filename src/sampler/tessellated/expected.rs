@@ -6,10 +6,9 @@
 //! spherical harmonics, (t)⁺ ≈ 3/32 + t/2 + 15/32 t² (Ramamoorthi & Hanrahan 2001). By visibility they sum up to one
 //! quadratic form of the normal a record and channel. The few brightest groups keep their clamped cosine.
 
-use super::weights::dot;
-use crate::sampler::preconvolution::Preconvolution;
+use super::sums::{Register, products};
+use crate::sampler::preconvolution::{GROUP_LANES, Nine, Preconvolution};
 use crate::sampler::shadow_cache::{AXES, Record};
-use crate::simd::{Kernel, dispatch};
 use glam::Vec3;
 use std::sync::OnceLock;
 
@@ -45,7 +44,7 @@ struct Expectation {
 #[derive(Debug, Default)]
 pub(super) struct Expected {
     /// What each group adds to a form of each axis's records.
-    groups: Vec<[[Vec<f32>; TERMS]; 3]>,
+    groups: Vec<[Vec<Nine>; 3]>,
     /// The brightest groups.
     bright: Vec<Bright>,
     /// By the cache's slots, made when first asked for.
@@ -102,7 +101,7 @@ impl Expected {
 
 /// A group's flux in one channel and its direction, of unit length; whatever the unit, squares must not overflow.
 fn flux(triangles: &Preconvolution, g: usize, channel: usize) -> (f32, Vec3) {
-    let f = Vec3::from([0, 1, 2].map(|axis| triangles.groups.rgb[3 * channel + axis][g]));
+    let f = triangles.groups.flux(g, channel);
     let scale = f.abs().max_element();
     if scale == 0.0 {
         return (0.0, Vec3::ZERO);
@@ -112,10 +111,10 @@ fn flux(triangles: &Preconvolution, g: usize, channel: usize) -> (f32, Vec3) {
 }
 
 /// What each group adds, for normals about `axis`; the bright ones nothing.
-fn terms(triangles: &Preconvolution, bright: &[Bright], axis: Vec3) -> [[Vec<f32>; TERMS]; 3] {
+fn terms(triangles: &Preconvolution, bright: &[Bright], axis: Vec3) -> [Vec<Nine>; 3] {
     let count = triangles.groups.x.len();
     std::array::from_fn(|channel| {
-        let mut rows: [Vec<f32>; TERMS] = std::array::from_fn(|_| vec![0.0; count]);
+        let mut rows = vec![Nine::default(); count.div_ceil(GROUP_LANES)];
         for g in (0..count).filter(|&g| bright.iter().all(|bright| bright.group != g)) {
             let (flux, d) = flux(triangles, g, channel);
             let towards = d.dot(axis);
@@ -129,39 +128,25 @@ fn terms(triangles: &Preconvolution, bright: &[Bright], axis: Vec3) -> [[Vec<f32
                 let [h, mixed] = [d * 0.5, Vec3::new(xy, xz, yz) * (15.0 / 16.0)];
                 [h.x, h.y, h.z, square(d.x), square(d.y), square(d.z), mixed.x, mixed.y, mixed.z]
             };
-            for (row, value) in rows.iter_mut().zip(of_group) {
-                row[g] = flux * value;
+            for (row, value) in rows[g / GROUP_LANES].0.iter_mut().zip(of_group) {
+                row[g % GROUP_LANES] = flux * value;
             }
         }
         rows
     })
 }
 
-fn summed(groups: &[[Vec<f32>; TERMS]; 3], bright: &[Bright], visibility: &[u8]) -> Expectation {
-    let visibility: Vec<f32> = visibility.iter().map(|&m| f32::from(m) * (1.0 / 255.0)).collect();
+fn summed(groups: &[Vec<Nine>; 3], bright: &[Bright], visibility: &[u8]) -> Expectation {
+    let arrives = |m: u8| f32::from(m) * (1.0 / 255.0);
+    let (chunks, _) = visibility.as_chunks::<GROUP_LANES>();
+    let visible: Vec<Register> = chunks.iter().map(|chunk| Register(chunk.map(arrives))).collect();
     let mut forms = Forms::default();
-    dispatch(Sum { groups, visibility: &visibility, forms: &mut forms });
-    Expectation { forms, bright: std::array::from_fn(|i| visibility[bright[i].group]) }
-}
-
-struct Sum<'a> {
-    groups: &'a [[Vec<f32>; TERMS]; 3],
-    visibility: &'a [f32],
-    forms: &'a mut Forms,
-}
-
-impl Kernel for Sum<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Self { groups, visibility, forms } = self;
-        for (channel, rows) in groups.iter().enumerate() {
-            for (form, row) in forms.iter_mut().zip(rows) {
-                form[channel] = dot(visibility, row);
-            }
+    for (channel, rows) in groups.iter().enumerate() {
+        for (form, sum) in forms.iter_mut().zip(products([(&visible, rows), (&[], &[])])) {
+            form[channel] = sum;
         }
     }
+    Expectation { forms, bright: std::array::from_fn(|i| arrives(visibility[bright[i].group])) }
 }
 
 #[cfg(test)]

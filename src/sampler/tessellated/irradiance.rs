@@ -2,28 +2,53 @@
 
 use super::leaves::LeafCounts;
 use super::normals::Aim;
-use crate::sampler::preconvolution::{LeafMoments, Preconvolution, soft};
+use super::sums::sum;
+use crate::sampler::preconvolution::{GROUP_LANES, LeafMoments, Nine, Preconvolution, soft};
 use crate::sampler::tessellation::LEAVES_A_GROUP;
 use crate::simd::{Kernel, prefetch};
 
-/// Below the horizon, or crossing it with next to no light: the control variate leaves it out.
+/// Below the horizon, or crossing it with next to no light: the control variate leaves the group out.
 pub(super) const BELOW: u8 = 0;
-/// Wholly above the horizon: exact.
-pub(super) const ABOVE: u8 = 1;
-/// Crossing the horizon: exact for its leaves above.
-pub(super) const CROSSING: u8 = 2;
+/// Wholly above the horizon: exact. Groups between the two cross it, and are exact for their leaves above: this many times
+/// the share of these in the irradiance, about.
+pub(super) const ABOVE: u8 = 255;
 
 /// Nine sums: x, y, z of red, of green, of blue.
 pub(super) type Flux = [f32; 9];
 
-/// What lies above the horizon of a group that crosses it.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Part {
-    pub(super) group: u32,
-    /// Σ F of its leaves above.
-    pub(super) flux: Flux,
-    /// Their share of its irradiance.
-    pub(super) covered: f32,
+/// What lies above the horizon of groups that cross it.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Parts {
+    /// How many there are.
+    count: usize,
+    /// The groups, and Σ F of the leaves above; without light up to whole registers.
+    pub(super) groups: Vec<[u16; GROUP_LANES]>,
+    pub(super) rgb: Vec<Nine>,
+}
+
+impl Parts {
+    fn clear(&mut self) {
+        self.count = 0;
+        self.groups.clear();
+        self.rgb.clear();
+    }
+
+    fn push(&mut self, group: usize, flux: Flux) {
+        let (row, lane) = (self.count / GROUP_LANES, self.count % GROUP_LANES);
+        if lane == 0 {
+            self.groups.push([0; GROUP_LANES]);
+            self.rgb.push(Nine::default());
+        }
+        self.groups[row][lane] = group as u16;
+        for (row, flux) in self.rgb[row].0.iter_mut().zip(flux) {
+            row[lane] = flux;
+        }
+        self.count += 1;
+    }
+
+    fn bytes(&self) -> usize {
+        size_of_val(&self.groups[..]) + size_of_val(&self.rgb[..])
+    }
 }
 
 /// The groups as surfaces with normals about one axis see them.
@@ -33,10 +58,10 @@ pub(super) struct Irradiance {
     pub(super) aim: Aim,
     /// Each group's irradiance, about; positive wherever light comes from.
     pub(super) importance: Vec<f32>,
-    /// [`BELOW`], [`ABOVE`] or [`CROSSING`].
-    pub(super) status: Vec<u8>,
+    /// What the control variate covers of each, from [`BELOW`] to [`ABOVE`].
+    pub(super) covered: Vec<u8>,
     /// Of the groups that cross the horizon, if asked for.
-    pub(super) parts: Vec<Part>,
+    pub(super) parts: Parts,
     /// The leaves of all groups that are not wholly above the horizon, if asked for.
     leaves: Vec<LeafCounts>,
     /// Which of them are a group's.
@@ -46,8 +71,8 @@ pub(super) struct Irradiance {
 impl Irradiance {
     pub(super) fn bytes(&self) -> usize {
         size_of_val(&self.importance[..])
-            + size_of_val(&self.status[..])
-            + size_of_val(&self.parts[..])
+            + size_of_val(&self.covered[..])
+            + self.parts.bytes()
             + size_of_val(&self.leaves[..])
             + size_of_val(&self.rows[..])
     }
@@ -86,32 +111,32 @@ impl Kernel for Sweep<'_> {
         let count = groups.x.len();
         irradiance.aim = Aim { axis: n, radius };
         irradiance.importance.resize(count, 0.0);
-        irradiance.status.resize(count, 0);
+        irradiance.covered.resize(count, BELOW);
         irradiance.parts.clear();
         let importance = &mut irradiance.importance[..count];
-        let status = &mut irradiance.status[..count];
+        let covered = &mut irradiance.covered[..count];
         let (x, y, z) = (&groups.x[..count], &groups.y[..count], &groups.z[..count]);
         let (f, s, r) = (&groups.f[..count], &groups.s[..count], &groups.r[..count]);
         for g in 0..count {
             let d = n.x * x[g] + n.y * y[g] + n.z * z[g];
             let wider = f[g] * radius;
             importance[g] = soft(d, s[g] + wider, r[g] + wider);
-            status[g] = if d >= s[g] && f[g] > 0.0 { ABOVE } else { BELOW };
+            covered[g] = if d >= s[g] && f[g] > 0.0 { ABOVE } else { BELOW };
         }
         let mut certain = 0.0;
-        for (&importance, &status) in importance.iter().zip(&*status) {
-            certain += if status == ABOVE { importance } else { 0.0 };
+        for (&importance, &covered) in importance.iter().zip(&*covered) {
+            certain += if covered == ABOVE { importance } else { 0.0 };
         }
         let notable = notable * sum(importance);
         if parts {
-            let by_leaves = (0..count).filter(|&g| status[g] == BELOW && importance[g] > 0.0).count();
+            let by_leaves = (0..count).filter(|&g| covered[g] == BELOW && importance[g] > 0.0).count();
             irradiance.rows.resize(count, 0);
             irradiance.leaves.clear();
             irradiance.leaves.reserve_exact(by_leaves);
         }
         for g in 0..count {
             let asked = if parts { 0.0 } else { notable };
-            if status[g] != BELOW || importance[g] <= asked {
+            if covered[g] != BELOW || importance[g] <= asked {
                 continue;
             }
             let leaves = Leaves::new(&triangles.leaves[g], Aim { axis: n, radius });
@@ -123,17 +148,18 @@ impl Kernel for Sweep<'_> {
                 importance[g] = sum(&leaves.irradiance);
                 let above = leaves.certain();
                 certain += above;
-                status[g] = CROSSING;
-                if parts {
-                    let covered = if importance[g] > 0.0 { above / importance[g] } else { 0.0 };
-                    irradiance.parts.push(Part { group: g as u32, flux: leaves.flux(&triangles.leaves[g]), covered });
+                if above > 0.0 {
+                    covered[g] = ((above / importance[g] * f32::from(ABOVE)) as u8).clamp(BELOW + 1, ABOVE - 1);
+                    if parts {
+                        irradiance.parts.push(g, leaves.flux(&triangles.leaves[g]));
+                    }
                 }
             }
         }
         // A sun at the horizon, up or not: its group gets its share of the rays, not all.
         if certain > 0.0 {
             for g in 0..count {
-                let most = if status[g] == ABOVE { f32::MAX } else { certain };
+                let most = if covered[g] == ABOVE { f32::MAX } else { certain };
                 importance[g] = if importance[g] < most { importance[g] } else { most };
             }
         }
@@ -197,19 +223,4 @@ impl Leaves {
         }
         flux
     }
-}
-
-/// Lanes of a sum: vector code without reassociating what the source says.
-pub(super) const LANES: usize = 16;
-
-/// A sum over lanes.
-#[inline(always)]
-pub(super) fn sum(values: &[f32]) -> f32 {
-    let mut lanes = [0.0f32; LANES];
-    for chunk in values.as_chunks::<LANES>().0 {
-        for i in 0..LANES {
-            lanes[i] += chunk[i];
-        }
-    }
-    lanes.iter().sum()
 }

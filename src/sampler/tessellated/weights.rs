@@ -1,10 +1,10 @@
 //! The groups' integer CDF: their irradiance, by what the shadow cache expects of their visibility, and with it the
 //! control variate.
 
-use super::draw::whole;
-use super::irradiance::{ABOVE, Flux, Irradiance, LANES, Sweep, sum};
+use super::irradiance::{ABOVE, BELOW, Irradiance, Parts, Sweep};
 use super::lanes::Row;
 use super::normals::Aim;
+use super::sums::{self, Register, sum};
 use crate::random;
 use crate::sampler::preconvolution::{GROUP_LANES, Preconvolution};
 use crate::simd::Kernel;
@@ -85,6 +85,8 @@ pub struct Weights {
     /// What the control variate takes each group's visibility for, 0 for all that it leaves out; the sign says how the
     /// group's cells are drawn: [`goes_by_energy`].
     pub(super) control: Vec<f32>,
+    /// The same of groups wholly above the horizon, 0 for all others; then of those that cross it.
+    of_flux: Vec<Register>,
     /// Its integral over the sphere: Σ b F, a vector a channel.
     flux: [Vec3; 3],
     /// Groups that have whole strata to themselves, after all others: a sun half in the shade is drawn as often at every
@@ -153,28 +155,33 @@ impl Kernel for WeighLearned<'_> {
         let Self { triangles, irradiance, rays, visibility, weights } = self;
         let count = irradiance_len(triangles);
         weights.resize(count);
-        let (status, importance) = (&irradiance.status[..count], &irradiance.importance[..count]);
-        let (visibility, weighted) = (&visibility[..count], &mut weights.weighted[..count]);
-        let control = &mut weights.control[..count];
-        for g in 0..count {
-            let m = f32::from(visibility[g]) * (1.0 / 255.0);
-            // The control variate takes out how the cosine changes inside.
-            control[g] = if status[g] == ABOVE { m } else { -0.0 };
-            weighted[g] = importance[g] * spread(m, control[g]);
+        let (groups, _) = irradiance.importance[..count].as_chunks::<GROUP_LANES>();
+        let groups = groups.iter().zip(irradiance.covered[..count].as_chunks::<GROUP_LANES>().0);
+        let records = visibility[..count].as_chunks::<GROUP_LANES>().0.iter();
+        let (weighted, _) = weights.weighted[..count].as_chunks_mut::<GROUP_LANES>();
+        let (controls, _) = weights.control[..count].as_chunks_mut::<GROUP_LANES>();
+        let made = weighted.iter_mut().zip(controls).zip(&mut weights.of_flux);
+        for (((importance, covered), visibility), ((weighted, control), whole)) in groups.zip(records).zip(made) {
+            // In arrays of its own the compiler sees that nothing it writes is what it reads.
+            let (importance, covered, visibility) = (*importance, *covered, *visibility);
+            let (mut above, mut of_groups, mut drawn) = ([0.0; GROUP_LANES], [0.0; GROUP_LANES], [0.0; GROUP_LANES]);
+            for i in 0..GROUP_LANES {
+                let m = f32::from(visibility[i]) * (1.0 / 255.0);
+                // The control variate takes out how the cosine changes inside.
+                above[i] = if covered[i] == ABOVE { m } else { -0.0 };
+                of_groups[i] = if covered[i] == BELOW || covered[i] == ABOVE { above[i] } else { -m };
+                drawn[i] = importance[i] * spread(m, m * (f32::from(covered[i]) * (1.0 / 255.0)));
+            }
+            (*weighted, *control, *whole) = (drawn, of_groups, Register(above));
         }
-        let mut flux: Flux = [0.0; 9];
-        for (flux, row) in flux.iter_mut().zip(&triangles.groups.rgb) {
-            *flux = dot(control, &row[..count]);
-        }
-        for part in &irradiance.parts {
-            let m = f32::from(visibility[part.group as usize]) * (1.0 / 255.0);
-            let g = part.group as usize;
-            control[g] = -m;
-            weighted[g] = importance[g] * spread(m, m * part.covered);
-            for (flux, part) in flux.iter_mut().zip(part.flux) {
-                *flux += m * part;
+        let Parts { groups, rgb, .. } = &irradiance.parts;
+        let (whole, of_parts) = weights.of_flux.split_at_mut(count / GROUP_LANES);
+        for (Register(of_parts), groups) in of_parts.iter_mut().zip(groups) {
+            for (m, &group) in of_parts.iter_mut().zip(groups) {
+                *m = f32::from(visibility[usize::from(group)]) * (1.0 / 255.0);
             }
         }
+        let flux = sums::products([(whole, &triangles.groups.rgb), (of_parts, rgb)]);
         let channel = |c: usize| Vec3::new(flux[3 * c], flux[3 * c + 1], flux[3 * c + 2]);
         weights.flux = [channel(0), channel(1), channel(2)];
         weights.count(rays);
@@ -210,6 +217,7 @@ impl Weights {
     fn resize(&mut self, count: usize) {
         self.weighted.resize(count, 0.0);
         self.control.resize(count, 0.0);
+        self.of_flux.resize(2 * (count / GROUP_LANES), Register::default());
         self.begins.resize(count / GROUP_LANES + 1, [0; GROUP_LANES]);
         self.widths.resize(count, 0);
     }
@@ -223,22 +231,21 @@ impl Weights {
             return left;
         }
         let least = HEAVY * total / strata as f32;
-        let mut most = [0.0f32; LANES];
-        for weights in self.weighted.as_chunks::<LANES>().0 {
-            for (most, &weight) in most.iter_mut().zip(weights) {
-                *most = if weight > *most { weight } else { *most };
-            }
-        }
-        if least <= 0.0 || !most.iter().any(|most| *most >= least) {
+        if least <= 0.0 {
             return left;
         }
-        for (group, weight) in self.weighted.iter_mut().enumerate().filter(|(_, weight)| **weight >= least) {
-            // At least one is left for all others.
-            let strata = ((*weight * (THEIRS * strata as f32 / total)) as u32).max(1).min(left - 1);
-            if strata > 0 {
-                self.heavy.push(Heavy { group: group as u32, strata, begin: 0 });
-                left -= strata;
-                *weight = 0.0;
+        for (row, weights) in self.weighted.as_chunks_mut::<GROUP_LANES>().0.iter_mut().enumerate() {
+            if !any_reaches(weights, least) {
+                continue;
+            }
+            for (lane, weight) in weights.iter_mut().enumerate().filter(|(_, weight)| **weight >= least) {
+                // At least one is left for all others.
+                let strata = ((*weight * (THEIRS * strata as f32 / total)) as u32).max(1).min(left - 1);
+                if strata > 0 {
+                    self.heavy.push(Heavy { group: (row * GROUP_LANES + lane) as u32, strata, begin: 0 });
+                    left -= strata;
+                    *weight = 0.0;
+                }
             }
         }
         left
@@ -263,7 +270,7 @@ impl Weights {
         let widths = &mut self.widths[..count];
         for g in 0..count {
             // Never nothing where there is importance.
-            widths[g] = whole(f64::from(weighted[g] * scale)) + if weighted[g] > 0.0 { 1 } else { 0 };
+            widths[g] = sums::count(weighted[g] * scale) + if weighted[g] > 0.0 { 1 } else { 0 };
         }
         let mut of_stratum = 0;
         if !self.heavy.is_empty() {
@@ -296,6 +303,16 @@ impl Weights {
     }
 }
 
+/// Whether any weight reaches `least`.
+#[inline(always)]
+fn any_reaches(weights: &[f32; GROUP_LANES], least: f32) -> bool {
+    let mut any = false;
+    for &weight in weights {
+        any |= weight >= least;
+    }
+    any
+}
+
 /// Whether the cells of a group with this `control` are drawn by energy alone, rather than leaf by leaf.
 #[inline(always)]
 pub(super) fn goes_by_energy(control: f32) -> bool {
@@ -314,18 +331,6 @@ fn spread(m: f32, b: f32) -> f32 {
 #[inline(always)]
 fn about_sqrt(x: f32) -> f32 {
     f32::from_bits((x.to_bits() >> 1) + 0x1fbb_4f2e)
-}
-
-/// A scalar product over lanes.
-#[inline(always)]
-pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let mut lanes = [0.0f32; LANES];
-    for (a, b) in a.as_chunks::<LANES>().0.iter().zip(b.as_chunks::<LANES>().0) {
-        for i in 0..LANES {
-            lanes[i] += a[i] * b[i];
-        }
-    }
-    lanes.iter().sum()
 }
 
 /// Weights made lately: samples of a pixel, and most neighbours, share them.
