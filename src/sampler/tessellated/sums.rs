@@ -30,9 +30,12 @@ fn products_portable(factors: [Factors<'_>; 2]) -> [f32; 9] {
     let mut result = [0.0; 9];
     for (k, result) in result.iter_mut().enumerate() {
         let mut lanes = [0.0; GROUP_LANES];
-        for (Register(by), Nine(rows)) in factors.iter().flat_map(|(by, rows)| by.iter().zip(*rows)) {
-            for i in 0..GROUP_LANES {
-                lanes[i] += by[i] * rows[k][i];
+        for (by, rows) in factors {
+            for (Register(by), Nine(rows)) in by.iter().zip(rows) {
+                let row = &rows[k];
+                for i in 0..GROUP_LANES {
+                    lanes[i] += by[i] * row[i];
+                }
             }
         }
         *result = halves_portable(lanes);
