@@ -86,46 +86,27 @@ impl Kernel for Weigh<'_> {
     type Output = (bool, Vec3);
 
     #[inline(always)]
-    fn run(self) -> (bool, Vec3) {
-        let Self { point: &Lambert { ng, ns, .. }, share, dir, radiance, pdf, control, fate, mut contributions } = self;
-        let count = fate.len();
+    fn run(mut self) -> (bool, Vec3) {
+        let count = self.fate.len();
+        let whole = count - count % LANES;
         let (mut any, mut sums) = ([TRACED; LANES], [[0.0; LANES]; 3]);
-        // In arrays of its own the compiler sees that nothing it writes is what it reads.
-        for at in (0..count).step_by(LANES) {
-            let (x, y, z) = (chunk(dir[0], at), chunk(dir[1], at), chunk(dir[2], at));
-            let (r, g, b) = (chunk(radiance[0], at), chunk(radiance[1], at), chunk(radiance[2], at));
-            let pdf = chunk(pdf, at);
-            let (mut weight, mut fates) = ([0.0; LANES], [TRACED; LANES]);
+        for at in (0..whole).step_by(LANES) {
+            let (fates, control) = self.some::<LANES>(at);
             for i in 0..LANES {
-                let cosine = x[i] * ns.x + y[i] * ns.y + z[i] * ns.z;
-                let above = x[i] * ng.x + y[i] * ng.y + z[i] * ng.z;
-                // What is no number is not hidden: it is traced, found out and counted.
-                let hidden = if (cosine <= 0.0) | (above <= 0.0) { HIDDEN } else { TRACED };
-                fates[i] = if (r[i] == 0.0) & (g[i] == 0.0) & (b[i] == 0.0) { BLACK } else { hidden };
-                weight[i] = cosine / pdf[i];
+                any[i] |= fates[i];
             }
-            let left = (count - at).min(LANES);
-            for ((row, light), share) in contributions.iter_mut().zip([&r, &g, &b]).zip(share.to_array()) {
-                let mut adds = [0.0; LANES];
+            for (sums, control) in sums.iter_mut().zip(control) {
                 for i in 0..LANES {
-                    adds[i] = light[i] * (share * weight[i]);
+                    sums[i] += control[i];
                 }
-                store(&mut row[at..at + left], &adds);
             }
-            store(&mut fate[at..at + left], &fates);
-            for (any, fate) in any.iter_mut().zip(&fates[..left]) {
-                *any |= fate;
-            }
-            if !control.is_empty() {
-                let control = chunk(control, at);
-                for i in 0..LANES {
-                    weight[i] = control[i] / pdf[i];
-                }
-                for (sums, light) in sums.iter_mut().zip([&r, &g, &b]) {
-                    for i in 0..left {
-                        sums[i] += light[i] * weight[i];
-                    }
-                }
+        }
+        // What does not fill a register goes one by one: copied to one and back it would take longer.
+        for i in 0..count - whole {
+            let ([fate], control) = self.some::<1>(whole + i);
+            any[i] |= fate;
+            for (sums, [control]) in sums.iter_mut().zip(control) {
+                sums[i] += control;
             }
         }
         let [r, g, b] = sums;
@@ -134,24 +115,51 @@ impl Kernel for Weigh<'_> {
     }
 }
 
-/// The numbers from `at` on; nothing beyond the last.
-#[inline(always)]
-fn chunk(row: &[f32], at: usize) -> [f32; LANES] {
-    let mut chunk = [0.0; LANES];
-    match row.get(at..at + LANES) {
-        Some(whole) => chunk.copy_from_slice(whole),
-        None => chunk.iter_mut().zip(&row[at..]).for_each(|(to, from)| *to = *from),
+impl Weigh<'_> {
+    /// So many from `at` on: their fates, and what each adds to the control variate's sum.
+    #[inline(always)]
+    fn some<const N: usize>(&mut self, at: usize) -> ([u32; N], [[f32; N]; 3]) {
+        let Self { point: Lambert { ng, ns, .. }, share, dir, radiance, pdf, control, fate, contributions } = self;
+        // In arrays of its own the compiler sees that nothing it writes is what it reads.
+        let (x, y, z) = (chunk::<N>(dir[0], at), chunk::<N>(dir[1], at), chunk::<N>(dir[2], at));
+        let (r, g, b) = (chunk::<N>(radiance[0], at), chunk::<N>(radiance[1], at), chunk::<N>(radiance[2], at));
+        let pdf = chunk::<N>(pdf, at);
+        let (mut weight, mut fates) = ([0.0; N], [TRACED; N]);
+        for i in 0..N {
+            let cosine = x[i] * ns.x + y[i] * ns.y + z[i] * ns.z;
+            let above = x[i] * ng.x + y[i] * ng.y + z[i] * ng.z;
+            // What is no number is not hidden: it is traced, found out and counted.
+            let hidden = if (cosine <= 0.0) | (above <= 0.0) { HIDDEN } else { TRACED };
+            fates[i] = if (r[i] == 0.0) & (g[i] == 0.0) & (b[i] == 0.0) { BLACK } else { hidden };
+            weight[i] = cosine / pdf[i];
+        }
+        for ((row, light), share) in contributions.iter_mut().zip([&r, &g, &b]).zip(share.to_array()) {
+            let mut adds = [0.0; N];
+            for i in 0..N {
+                adds[i] = light[i] * (share * weight[i]);
+            }
+            row[at..at + N].copy_from_slice(&adds);
+        }
+        fate[at..at + N].copy_from_slice(&fates);
+        let mut taken = [[0.0; N]; 3];
+        if !control.is_empty() {
+            let control = chunk::<N>(control, at);
+            for (taken, light) in taken.iter_mut().zip([&r, &g, &b]) {
+                for i in 0..N {
+                    taken[i] = light[i] * (control[i] / pdf[i]);
+                }
+            }
+        }
+        (fates, taken)
     }
-    chunk
 }
 
-/// Writes what there is room for.
+/// The numbers from `at` on.
 #[inline(always)]
-fn store<T: Copy>(row: &mut [T], chunk: &[T; LANES]) {
-    match <&mut [T; LANES]>::try_from(&mut *row) {
-        Ok(whole) => *whole = *chunk,
-        Err(_) => row.iter_mut().zip(chunk).for_each(|(to, from)| *to = *from),
-    }
+fn chunk<const N: usize>(row: &[f32], at: usize) -> [f32; N] {
+    let mut chunk = [0.0; N];
+    chunk.copy_from_slice(&row[at..at + N]);
+    chunk
 }
 
 #[cfg(test)]
