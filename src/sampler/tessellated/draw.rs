@@ -272,9 +272,13 @@ impl Block {
             let group = self.group[i];
             let counts = match table {
                 Some(table) => table.leaves(group),
-                None => memo.get(weights.stamp, group, || {
-                    LeafCounts::new(&sampler.triangles.leaves[group as usize], weights.aim)
-                }),
+                None => {
+                    if !memo.holds(weights.stamp, group) {
+                        let leaves = &sampler.triangles.leaves[group as usize];
+                        memo.keep(weights.stamp, group, LeafCounts::new(leaves, weights.aim));
+                    }
+                    memo.counts(weights.stamp, group)
+                }
             };
             self.leaf(sampler, counts, i);
         }

@@ -128,15 +128,29 @@ impl Default for LeafMemo {
 }
 
 impl LeafMemo {
-    /// A group's counts for weights with a stamp, made by `make` unless they are at hand.
     #[inline(always)]
-    pub(super) fn get(&mut self, stamp: u64, group: u32, make: impl FnOnce() -> LeafCounts) -> &LeafCounts {
-        let hash = random::combine(stamp as u32, group);
-        let entry = &mut self.0[hash as usize % self.0.len()];
-        if (entry.stamp, entry.group) != (stamp, group) {
-            *entry = LeafEntry { stamp, group, counts: make() };
-        }
-        &entry.counts
+    fn place(&self, stamp: u64, group: u32) -> usize {
+        random::combine(stamp as u32, group) as usize % self.0.len()
+    }
+
+    /// Whether a group's counts for weights with a stamp are at hand.
+    #[inline(always)]
+    pub(super) fn holds(&self, stamp: u64, group: u32) -> bool {
+        let entry = &self.0[self.place(stamp, group)];
+        (entry.stamp, entry.group) == (stamp, group)
+    }
+
+    /// Keeps them, in the place of others.
+    #[inline(always)]
+    pub(super) fn keep(&mut self, stamp: u64, group: u32, counts: LeafCounts) {
+        let place = self.place(stamp, group);
+        self.0[place] = LeafEntry { stamp, group, counts };
+    }
+
+    /// Those that are at hand.
+    #[inline(always)]
+    pub(super) fn counts(&self, stamp: u64, group: u32) -> &LeafCounts {
+        &self.0[self.place(stamp, group)].counts
     }
 }
 
