@@ -199,9 +199,17 @@ impl DomeCells {
 
     /// The mean of all unit directions in a cell (shorter than 1): ∫ ω dω / Ω, exactly.
     pub fn mean_direction(&self, cell: u32) -> DVec3 {
+        self.light(cell).0
+    }
+
+    /// What sums over cells ask for: the mean of all directions, the radiance, the solid angle.
+    #[inline(always)]
+    pub fn light(&self, cell: u32) -> (DVec3, [f32; 3], f64) {
         let (column, row) = self.place(cell);
-        let (column, [ring, up]) = (self.columns[column as usize], self.rows[row as usize].mean);
-        DVec3::new(ring * column.cos, up, ring * column.sin)
+        let (column, Row { mean: [ring, up], solid_angle, .. }) =
+            (self.columns[column as usize], self.rows[row as usize]);
+        let mean = DVec3::new(ring * column.cos, up, ring * column.sin);
+        (mean, self.dome.texels[self.texel(cell) as usize], solid_angle)
     }
 
     /// An upper bound on the angle between a cell's centre and any direction in it, radians.

@@ -16,6 +16,7 @@
 
 use super::cells::DomeCells;
 use super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
+use crate::dome::Dome;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -135,12 +136,12 @@ impl Triangle {
     fn new(cells: &DomeCells, members: &[u32]) -> Self {
         let (mut weight, mut rgb, mut energy) = (DVec3::ZERO, [DVec3::ZERO; 3], 0.0);
         for &cell in members {
-            let mean = cells.mean_direction(cell);
-            let radiance = cells.radiance(cell);
-            energy += cells.energy(cell);
-            weight += cells.energy(cell) * mean;
-            for (sum, l) in rgb.iter_mut().zip(radiance.to_array()) {
-                *sum += f64::from(l) * cells.solid_angle(cell) * mean;
+            let (mean, radiance, solid_angle) = cells.light(cell);
+            let of_cell = f64::from(Dome::weight(radiance)) * solid_angle;
+            energy += of_cell;
+            weight += of_cell * mean;
+            for (sum, l) in rgb.iter_mut().zip(radiance) {
+                *sum += f64::from(l) * solid_angle * mean;
             }
         }
         Self { weight, rgb, energy, radius: radius(cells, weight, members) }

@@ -164,17 +164,22 @@ const MOST_CONTRAST: f64 = 1e5;
 /// Whether the control variate can be summed in single precision: sums must not leave its range, nor drown the sky beside
 /// its sun. (And darkness needs no cache.)
 fn is_tame(dome: &Dome) -> bool {
-    let brightest = dome.texels.iter().flatten().fold(0.0, |most: f32, &value| most.max(value));
     let width = dome.grid.width as usize;
-    let row = |y: usize| {
+    // The brightest value; the brightest energy and the sum of all others, row by row: a sun's own energy must not pass
+    // through the sum.
+    let of_row = |(y, row): (usize, &[[f32; 3]])| {
         let solid_angle = dome.grid.solid_angle(y as u32);
-        dome.texels[y * width..(y + 1) * width].iter().map(move |&texel| f64::from(Dome::weight(texel)) * solid_angle)
+        let (mut brightest, mut most, mut rest) = (0f32, 0f64, 0f64);
+        for &texel in row {
+            let energy = f64::from(Dome::weight(texel)) * solid_angle;
+            brightest = texel.into_iter().fold(brightest, f32::max);
+            (most, rest) = (most.max(energy), rest + most.min(energy));
+        }
+        (brightest, most, rest)
     };
-    // The brightest energy and the sum of all others, row by row: a sun's own energy must not pass through the sum.
-    let (most, rest) = (0..dome.grid.height as usize)
-        .into_par_iter()
-        .map(|y| row(y).fold((0.0, 0.0), |(most, rest): (f64, f64), e| (most.max(e), rest + most.min(e))))
-        .reduce(|| (0.0, 0.0), |a, b| (a.0.max(b.0), a.1 + b.1 + a.0.min(b.0)));
+    let rows: Vec<_> = dome.texels.par_chunks(width).enumerate().map(of_row).collect();
+    let (brightest, most, rest) =
+        rows.into_iter().fold((0f32, 0f64, 0f64), |a, b| (a.0.max(b.0), a.1.max(b.1), a.2 + b.2 + a.1.min(b.1)));
     (1e-30..1e36).contains(&brightest) && (rest == 0.0 || most <= MOST_CONTRAST * rest)
 }
 

@@ -301,7 +301,7 @@ fn sort_into_faces(cells: &impl Cells) -> (Sorted, Vec<Node>) {
     let path = cube_path();
     let middle = |i: usize| path[i][0] + path[i][2];
     // A face: its middle, its diagonal's plane, and the triangles on the positive and the negative side of that.
-    let faces: Vec<_> = (0..TRIANGLES)
+    let mut faces: Vec<_> = (0..TRIANGLES)
         .filter_map(|i| {
             let [entry, by, exit] = path[i];
             let other = (i + 1..TRIANGLES).find(|&k| middle(k).abs_diff_eq(middle(i), 1e-9))?;
@@ -309,6 +309,12 @@ fn sort_into_faces(cells: &impl Cells) -> (Sorted, Vec<Node>) {
             Some((middle(i), cut * cut.dot(by), [i, other]))
         })
         .collect();
+    // Opposite ones together.
+    for i in [1, 3, 5] {
+        let opposite = (i..faces.len()).find(|&k| faces[k].0.dot(faces[i - 1].0) < -1.0);
+        faces.swap(i, opposite.expect("every face has an opposite one"));
+    }
+    let axes = [0, 2, 4].map(|i| faces[i].0);
     let sort = |portion: usize| {
         let mut found = [const { Vec::new() }; TRIANGLES];
         let mut energy = [0.0; TRIANGLES];
@@ -319,14 +325,14 @@ fn sort_into_faces(cells: &impl Cells) -> (Sorted, Vec<Node>) {
                 continue;
             }
             let d = cells.center(cell);
-            let (mut best, mut deepest) = (0, f64::NEG_INFINITY);
-            for (i, (middle, ..)) in faces.iter().enumerate() {
-                let depth = middle.dot(d);
-                if depth > deepest {
+            let [a, b, c] = axes.map(|axis| axis.dot(d));
+            let (mut best, mut deepest) = (0, a);
+            for (i, depth) in [(2, b), (4, c)] {
+                if depth.abs() > deepest.abs() {
                     (best, deepest) = (i, depth);
                 }
             }
-            let (_, cut, sides) = faces[best];
+            let (_, cut, sides) = faces[best + usize::from(deepest < 0.0)];
             let triangle = sides[usize::from(cut.dot(d) < 0.0)];
             found[triangle].push(cell);
             energy[triangle] += own;
