@@ -247,22 +247,25 @@ impl<C: Cells> Grow<'_, C> {
         let normal = if normal.dot(entry) < 0.0 { -normal } else { normal }.as_vec3();
         let own = &mut self.order[parent.cells.clone()];
         self.scratch.clear();
-        let (mut shares, mut squares) = ([0.0; 2], [0.0; 2]);
+        // Sums of their own, not rows of two: those would go through memory with every cell.
+        let (mut before, mut behind, mut squares) = (0.0, 0.0, [0.0; 2]);
         let mut kept = 0;
         for i in 0..own.len() {
             let lit = own[i];
             let half = usize::from(lit.center.dot(normal) <= 0.0);
-            shares[half] += f64::from(lit.share);
             if parent.square > 0.0 {
                 squares[half] += square(self.cells, lit.cell);
             }
             if half == 0 {
+                before += f64::from(lit.share);
                 own[kept] = lit;
                 kept += 1;
             } else {
+                behind += f64::from(lit.share);
                 self.scratch.push(lit);
             }
         }
+        let shares = [before, behind];
         own[kept..].copy_from_slice(self.scratch);
         let Range { start, end } = parent.cells;
         let halves = [start..start + kept, start + kept..end];
