@@ -210,7 +210,7 @@ impl Render<'_> {
         let work: f64 = passes.iter().map(Pass::work).sum();
         let (past, ahead) = passes.split_at(passes.len().min(state.passes as usize));
         let mut done: f64 = past.iter().map(Pass::work).sum();
-        for pass in ahead {
+        for (i, pass) in ahead.iter().enumerate() {
             state.seconds = before + start.elapsed().as_secs_f64();
             // Without a first sample everywhere there is no picture: the learning stages always finish.
             // Without a second replicate there is no variance, and half a replicate would not be counted.
@@ -223,6 +223,7 @@ impl Render<'_> {
             if state.picture.stopped {
                 break;
             }
+            sampler.listen(ahead[i..].iter().any(|pass| pass.ends_stage));
             let finished = AtomicU64::new(0);
             let world = World { scene: self.scene, accel: self.accel, dome: self.dome, sampler: &*sampler };
             let Picture { film, counts, .. } = &mut state.picture;
@@ -240,8 +241,7 @@ impl Render<'_> {
             for of_tile in &of_tiles {
                 counts.add(of_tile);
             }
-            // What nobody goes by need not be worked out.
-            if pass.ends_stage && state.passes + 1 < passes.len() as u32 {
+            if pass.ends_stage {
                 sampler.next_stage();
             }
             state.views.settle();
@@ -252,6 +252,8 @@ impl Render<'_> {
                 state.picture.film.close_replicate();
             }
         }
+        // As it was found.
+        sampler.listen(true);
         state.picture.counts.max_weight /= state.picture.spp.max(1) as f32;
         state.picture
     }

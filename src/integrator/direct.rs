@@ -293,7 +293,7 @@ impl Shade<'_> {
                 let origin = offset_origin(surface.position, surface.error, surface.ng, dir);
                 queue.push(Ray::new(origin, dir), contribution);
                 // As many targets as rays, whatever `draws` holds: a mirror has drawn nothing.
-                if sampler.learns() {
+                if sampler.listens() {
                     queue.targets.push(NO_TARGET);
                 }
             }

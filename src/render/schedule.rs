@@ -98,7 +98,7 @@ pub(super) struct Pass {
     pub(super) before: u32,
     /// Its samples' camera rays.
     pub(super) looks: Looks,
-    /// Whether the sampler's stage ends here.
+    /// Whether the sampler's stage ends here and another follows.
     pub(super) ends_stage: bool,
     /// Camera samples that every pixel has after this pass.
     pub(super) spp_after: u32,
@@ -170,6 +170,10 @@ pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
             spp_after: done + count,
         });
         done += count;
+    }
+    // What nobody goes by need not be worked out.
+    if let Some(last) = passes.last_mut() {
+        last.ends_stage = false;
     }
     passes
 }

@@ -94,7 +94,7 @@ pub struct Draws {
     pub control: Vec<f32>,
     /// The control variate's exact integral over the sphere, W·m⁻² a channel.
     pub integral: Vec3,
-    /// What [`DomeSampler::observe`] counts each ray towards; empty when nothing is learned.
+    /// What [`DomeSampler::observe`] counts each ray towards; empty where nothing is learned.
     pub target: Vec<u32>,
     /// Scratch of the integrator's: what becomes of each direction.
     pub fate: Vec<u32>,
@@ -238,6 +238,14 @@ pub trait DomeSampler: Debug + Send + Sync {
 
     /// Ends a stage: what was observed so far is what draws go by from now on.
     fn next_stage(&mut self) {}
+
+    /// Says whether a stage follows this one: if none does, nobody will go by what its rays see.
+    fn listen(&mut self, _on: bool) {}
+
+    /// Whether draws say where their rays are counted: [`Draws::target`].
+    fn listens(&self) -> bool {
+        false
+    }
 
     /// Writes what was learned, for a checkpoint; called between passes.
     fn save(&self, _out: &mut dyn Write) -> io::Result<()> {

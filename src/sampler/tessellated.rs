@@ -365,6 +365,14 @@ impl DomeSampler for Tessellated {
         self.warm_up();
     }
 
+    fn listen(&mut self, on: bool) {
+        self.memory.listen(on);
+    }
+
+    fn listens(&self) -> bool {
+        self.memory.listens()
+    }
+
     fn save(&self, out: &mut dyn Write) -> io::Result<()> {
         self.memory.save(out)
     }
@@ -472,6 +480,22 @@ mod tests {
             };
             let sum: f64 = (0..sampler.cells.count() as u32).map(density).sum();
             assert!((sum - 1.0).abs() < 1e-4, "{what}: {sum}");
+        }
+    }
+
+    #[test]
+    fn in_the_last_stage_draws_are_the_same_and_nothing_is_counted() {
+        for mode in ["full", "seed"] {
+            let (_, params) = resolve("sampler", &[PLUGIN], &format!("tessellated:mode={mode}")).unwrap();
+            let setup = Setup { size: [64, 64], gloss: false, rays: 16, spp: 1 };
+            let mut sampler = make(&grey(64, 32), &params, &setup).unwrap();
+            let (mut before, mut after) = (Draws::default(), Draws::default());
+            sampler.draw(&point(Vec3::Y, 1), 16, &mut before);
+            assert!(sampler.listens() && before.target.len() == before.dir.len(), "{mode}");
+            sampler.listen(false);
+            sampler.draw(&point(Vec3::Y, 1), 16, &mut after);
+            assert!(!sampler.listens() && after.target.is_empty(), "{mode}");
+            assert_eq!((before.dir, before.pdf), (after.dir, after.pdf), "{mode}");
         }
     }
 

@@ -6,11 +6,12 @@ use crate::sampler::{CacheStats, Draws, Point};
 use std::io::{self, Read, Write};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// A cache, if there is one, and whether it has anything to say.
+/// A cache, if there is one, whether it has anything to say, and whether it takes anything in.
 #[derive(Debug)]
 pub(super) struct Memory {
     cache: Option<ShadowCache>,
     warm: bool,
+    listens: bool,
     version: u64,
 }
 
@@ -38,7 +39,8 @@ fn jitter(seed: u32) -> [f32; 3] {
 
 impl Memory {
     pub(super) fn new(cache: Option<ShadowCache>) -> Self {
-        Self { cache, warm: false, version: next_version() }
+        let listens = cache.is_some();
+        Self { cache, warm: false, listens, version: next_version() }
     }
 
     /// Never the same for two samplers or two stages: what was made for another is made anew.
@@ -48,6 +50,16 @@ impl Memory {
 
     pub(super) fn cache(&self) -> Option<&ShadowCache> {
         self.cache.as_ref()
+    }
+
+    /// Counts what rays see from now on, or does not.
+    pub(super) fn listen(&mut self, on: bool) {
+        self.listens = on && self.cache.is_some();
+    }
+
+    /// Whether rays are counted.
+    pub(super) fn listens(&self) -> bool {
+        self.listens
     }
 
     /// Whether a stage has ended.
@@ -74,10 +86,13 @@ impl Memory {
         cache.visibility(slot as usize)
     }
 
-    /// The record a point reads, and the target its rays are counted towards.
+    /// The record a point reads, and the target its rays are counted towards, if any.
     pub(super) fn consult(&self, point: &Point, out: &mut Draws) -> (Option<Record<'_>>, u32) {
         let Some(cache) = &self.cache else { return (None, NO_TARGET) };
-        let target = cache.admit(point.pixel, ShadowCache::key(point.ng, point.distance, 0.0));
+        let target = match self.listens {
+            true => cache.admit(point.pixel, ShadowCache::key(point.ng, point.distance, 0.0)),
+            false => NO_TARGET,
+        };
         let record = self.read(point, &mut out.prepared.found);
         out.lookups += u64::from(self.warm);
         out.found += u64::from(record.is_some());

@@ -157,7 +157,7 @@ impl DomeSampler for Seed {
             out.dir.push(dir);
             out.radiance.push(self.dome.lookup(dir).0);
             out.pdf.push(self.density(counts, triangle));
-            if self.learns() {
+            if self.listens() {
                 out.target.push(if target == NO_TARGET { target } else { target + self.slots[triangle] });
             }
         }
@@ -185,6 +185,14 @@ impl DomeSampler for Seed {
 
     fn next_stage(&mut self) {
         self.memory.freeze();
+    }
+
+    fn listen(&mut self, on: bool) {
+        self.memory.listen(on);
+    }
+
+    fn listens(&self) -> bool {
+        self.memory.listens()
     }
 
     fn save(&self, out: &mut dyn Write) -> io::Result<()> {

@@ -105,7 +105,7 @@ impl Tessellated {
         if weights.total == 0 {
             return;
         }
-        let mut lists = Lists { dir, radiance, pdf, targets, target: begun.target, learns: self.learns() };
+        let mut lists = Lists { dir, radiance, pdf, targets, target: begun.target, listens: self.listens() };
         self.descend((weights, leaves), &asked, begun.stage, [&mut first[slot], rest], |block| {
             lists.add(block);
             if record.is_some() {
@@ -119,7 +119,7 @@ impl Tessellated {
     /// Directions for a point's lobe.
     pub(super) fn walk_by(&self, asked: &Asked, target: u32, out: &mut Draws) {
         let Draws { dir, radiance, pdf, target: targets, prepared: Prepared { lobe, walk, .. }, .. } = out;
-        let mut lists = Lists { dir, radiance, pdf, targets, target, learns: self.learns() };
+        let mut lists = Lists { dir, radiance, pdf, targets, target, listens: self.listens() };
         let Walk { rest: [block, ahead], leaves, .. } = walk;
         self.descend((lobe, leaves), asked, Stage::Asked, [block, ahead], |block| lists.add(block));
     }
@@ -167,7 +167,7 @@ struct Lists<'a> {
     pdf: &'a mut Vec<f32>,
     targets: &'a mut Vec<u32>,
     target: u32,
-    learns: bool,
+    listens: bool,
 }
 
 impl Lists<'_> {
@@ -181,7 +181,7 @@ impl Lists<'_> {
         self.radiance.truncate(end);
         self.pdf.extend_from_slice(&block.pdf);
         self.pdf.truncate(end);
-        if self.learns {
+        if self.listens {
             let none = self.target == NO_TARGET;
             self.targets
                 .extend_from_slice(&block.group.map(|group| if none { NO_TARGET } else { self.target + group }));
