@@ -9,6 +9,7 @@
 use super::sums::{Register, products};
 use crate::sampler::preconvolution::{GROUP_LANES, Nine, Preconvolution};
 use crate::sampler::shadow_cache::{AXES, Record};
+use crate::simd::{Kernel, dispatch};
 use glam::Vec3;
 use std::sync::OnceLock;
 
@@ -140,13 +141,28 @@ fn summed(groups: &[Vec<Nine>; 3], bright: &[Bright], visibility: &[u8]) -> Expe
     let arrives = |m: u8| f32::from(m) * (1.0 / 255.0);
     let (chunks, _) = visibility.as_chunks::<GROUP_LANES>();
     let visible: Vec<Register> = chunks.iter().map(|chunk| Register(chunk.map(arrives))).collect();
-    let mut forms = Forms::default();
-    for (channel, rows) in groups.iter().enumerate() {
-        for (form, sum) in forms.iter_mut().zip(products([(&visible, rows), (&[], &[])])) {
-            form[channel] = sum;
-        }
-    }
+    let forms = dispatch(Sum { groups, visible: &visible });
     Expectation { forms, bright: std::array::from_fn(|i| arrives(visibility[bright[i].group])) }
+}
+
+struct Sum<'a> {
+    groups: &'a [Vec<Nine>; 3],
+    visible: &'a [Register],
+}
+
+impl Kernel for Sum<'_> {
+    type Output = Forms;
+
+    #[inline(always)]
+    fn run(self) -> Forms {
+        let mut forms = Forms::default();
+        for (channel, rows) in self.groups.iter().enumerate() {
+            for (form, sum) in forms.iter_mut().zip(products([(self.visible, rows), (&[], &[])])) {
+                form[channel] = sum;
+            }
+        }
+        forms
+    }
 }
 
 #[cfg(test)]

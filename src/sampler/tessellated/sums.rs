@@ -68,7 +68,7 @@ unsafe fn products_avx512(factors: [Factors<'_>; 2]) -> [f32; 9] {
     result
 }
 
-/// The sum of all numbers, of which there are whole registers.
+/// The sum of numbers that fill whole registers.
 #[inline(always)]
 pub(super) fn sum(values: &[f32]) -> f32 {
     let mut lanes = [0.0f32; GROUP_LANES];
