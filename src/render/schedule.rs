@@ -227,6 +227,9 @@ mod tests {
                 assert_eq!(beside, usize::from(x % 8 == 5 && y % 8 == 5), "pixel {x}, {y}");
                 taken += of_pixel().map(|pass| pass.count).sum::<u32>();
             }
+            // Every learning stage ends, but one that ends the render.
+            let ends = passes.iter().filter(|pass| pass.ends_stage).count();
+            assert_eq!(ends, Lattice::stages().count().min(passes.len() - 1), "{spp} samples");
             let work: f64 = passes.iter().map(Pass::work).sum();
             assert!((work * 256.0 - f64::from(taken)).abs() < 1e-9, "{work} of {taken}");
         }
