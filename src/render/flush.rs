@@ -1,6 +1,7 @@
 //! A queue of shadow rays is traced: what arrives, and what the sampler learns from it.
 
-use super::{Counts, Scratch};
+use super::Counts;
+use super::tile::Scratch;
 use crate::dome::Dome;
 use crate::integrator::{World, visibility};
 use crate::simd::{Kernel, dispatch};

@@ -1,0 +1,237 @@
+//! A pass over a tile: its camera rays in chunks, what each sample is worth, its shadow rays in batches.
+//!
+//! Camera samples that trace shadow rays have others beside them that don't: those show what the sampler expects there,
+//! C, and the shaded ones how it is wrong, I − C. The mean of C over all and of I − C over the shaded is unbiased whatever C
+//! is, and edges, textures and bumps inside a pixel are seen by cheap rays ([`Integrator::expected`]).
+
+use super::flush::flush;
+use super::schedule::{self, Looks, Pass};
+use super::views::Views;
+use super::{Background, Counts, Render};
+use crate::accel::{Hit, Ray};
+use crate::dome::Dome;
+use crate::film::{AovSample, Part, Sample};
+use crate::integrator::visibility::{self, nearest};
+use crate::integrator::{Queue, Shading, World};
+use crate::random;
+use crate::sampler::{DomeSampler, Draws, Numbers};
+use crate::scene::Surface;
+use glam::Vec3;
+
+/// Camera rays traced together.
+const CHUNK: usize = 1024;
+
+/// Shadow rays traced together.
+const BATCH: usize = 1024;
+
+impl Render<'_> {
+    /// Camera rays for each camera sample of a pixel.
+    fn views(&self, sampler: &dyn DomeSampler, (pass, views): (&Pass, &Views), pixel: [u32; 2]) -> u32 {
+        match (self.settings.camera_rays, pass.looks) {
+            _ if !self.integrator.expects(sampler) => 1,
+            (Some(views), _) => views,
+            (None, Looks { least, .. }) => views.of(pixel, self.settings.rays).max(least),
+        }
+    }
+
+    /// What the pass counts there.
+    pub(super) fn tile(
+        &self,
+        world: &World<'_>,
+        (pass, seen): (&Pass, &Views),
+        [x, y, width, height]: [u32; 4],
+        film: &mut Part<'_>,
+        s: &mut Scratch,
+    ) -> Counts {
+        let mut counts = Counts::default();
+        let each = schedule::replicate(&self.settings);
+        // Pixels that look up the same place together, all samples of a pixel together: they share what is prepared. The order
+        // of a block's pixels, in which the sampler counts, does not depend on the tile: the sort is stable.
+        s.cameras.clear();
+        s.pixels.clear();
+        let seed = |[column, row]: [u32; 2], of, purpose| random::hash(&[self.settings.seed, column, row, of, purpose]);
+        let pixels = (y..y + height).flat_map(|row| (x..x + width).map(move |column| [column, row]));
+        s.pixels.extend(pixels.filter(|&[column, row]| pass.lattice.takes(column, row)).map(|pixel| {
+            let numbers = seed(pixel, pass.sequence, 1);
+            (world.sampler.place(pixel, numbers), pixel, numbers)
+        }));
+        s.pixels.sort_by_key(|&(place, ..)| place);
+        for i in 0..s.pixels.len() {
+            let (_, pixel, numbers) = s.pixels[i];
+            let places = seed(pixel, pass.replicate, 0);
+            let views = self.views(world.sampler, (pass, seen), pixel);
+            for sample in pass.first..pass.first + pass.count {
+                let numbers = Numbers { seed: numbers, sample };
+                // Shaded samples have the beginning of the sequence, one stratified set; all together are another.
+                let at = pass.before + sample;
+                for view in 0..views {
+                    let place = if view == 0 { at } else { each + at * (views - 1) + view - 1 };
+                    let place = random::sobol2(place, places).map(random::unit);
+                    s.cameras.push(CameraSample { pixel, place, numbers, views, shaded: view == 0 });
+                }
+                if s.cameras.len() >= CHUNK {
+                    self.chunk(world, (pass, seen), s, film, &mut counts);
+                }
+            }
+        }
+        self.chunk(world, (pass, seen), s, film, &mut counts);
+        world.sampler.tally(&mut s.draws);
+        counts
+    }
+
+    fn chunk(
+        &self,
+        world: &World<'_>,
+        (pass, seen): (&Pass, &Views),
+        s: &mut Scratch,
+        film: &mut Part<'_>,
+        counts: &mut Counts,
+    ) {
+        s.rays.clear();
+        s.samples.clear();
+        s.expected.clear();
+        for &CameraSample { pixel: [x, y], place: [u, v], .. } in &s.cameras {
+            let filter = self.settings.filter;
+            s.rays.push(self.view.ray(x as f32 + 0.5 + filter.offset(u), y as f32 + 0.5 + filter.offset(v)));
+        }
+        counts.camera_rays += s.rays.len() as u64;
+        nearest(self.scene, self.accel, &s.rays, &mut s.hits, &mut s.visibility);
+        let mut waiting = None;
+        for i in 0..s.rays.len() {
+            let CameraSample { pixel, numbers, views, shaded, .. } = s.cameras[i];
+            let (ray, hit) = (&s.rays[i], &s.hits[i]);
+            if !hit.is_hit() {
+                let sample = self.miss(ray);
+                if shaded {
+                    s.expected.push(sample.radiance);
+                }
+                s.samples.push(sample);
+                continue;
+            }
+            let hit = &if shaded { self.scene.refined(ray, hit) } else { *hit };
+            let placed = shaded || self.settings.aovs;
+            let surface = if placed { self.scene.surface(ray, hit) } else { self.scene.look(ray, hit) };
+            let rays = self.settings.rays;
+            let point = Shading { pixel, distance: hit.t, wo: -ray.dir, surface: &surface, numbers, rays };
+            let mut radiance = Vec3::ZERO;
+            if views > 1 {
+                radiance = self.integrator.expected(world, &point, &mut s.draws);
+            }
+            let aovs = self.settings.aovs.then_some(AovSample {
+                albedo: surface.base_color,
+                normal: surface.ns,
+                depth: hit.t,
+                position: surface.position,
+                light: [0.0; 2],
+            });
+            s.samples.push(Sample { radiance, alpha: 1.0, aovs });
+            if shaded {
+                s.expected.push(radiance);
+                self.integrator.begin(world, &point, &mut s.draws);
+                let next = Waiting { sample: i, distance: hit.t, surface };
+                if let Some(before) = waiting.replace(next) {
+                    self.shade(world, &before, s, counts);
+                }
+            }
+        }
+        if let Some(last) = waiting {
+            self.shade(world, &last, s, counts);
+        }
+        flush(world, s, counts);
+        if pass.looks.about {
+            self.notice(seen, s);
+        }
+        for (&CameraSample { pixel, numbers, views, .. }, value) in s.cameras.iter().zip(&s.samples) {
+            if value.radiance.is_finite() {
+                film.add(pixel, value, pass.weight / views as f32);
+            } else {
+                counts.dropped += 1;
+                counts.dropped_at.get_or_insert([pixel[0], pixel[1], numbers.sample]);
+            }
+        }
+        s.cameras.clear();
+    }
+
+    /// Shows `seen` what was expected, and what has become of it.
+    fn notice(&self, seen: &Views, s: &mut Scratch) {
+        let light = |radiance: Vec3| Dome::weight(radiance.to_array());
+        let mut first = 0;
+        for &expected in &s.expected {
+            let CameraSample { pixel, views, .. } = s.cameras[first];
+            let of_sample = &s.samples[first..first + views as usize];
+            s.lights.clear();
+            s.lights.extend(of_sample.iter().map(|sample| light(sample.radiance)));
+            // The first one holds what its rays have brought once for each.
+            let known = light(expected) + (s.lights[0] - light(expected)) / views as f32;
+            s.lights[0] = light(expected);
+            seen.notice(pixel, &s.lights, known);
+            first += views as usize;
+        }
+    }
+
+    /// Shades a sample: what it is expected to be makes way for what is known, and for what its rays will bring.
+    fn shade(&self, world: &World<'_>, waiting: &Waiting, s: &mut Scratch, counts: &mut Counts) {
+        let &Waiting { sample, distance, ref surface } = waiting;
+        let CameraSample { pixel, numbers, views, .. } = s.cameras[sample];
+        let views = views as f32;
+        let rays = self.settings.rays;
+        let point = Shading { pixel, distance, wo: -s.rays[sample].dir, surface, numbers, rays };
+        s.queue.sample = sample as u32;
+        let known = self.integrator.shade(world, &point, &mut s.draws, &mut s.queue);
+        let radiance = &mut s.samples[sample].radiance;
+        *radiance = views * known - (views - 1.0) * *radiance;
+        counts.rays_asked += u64::from(rays);
+        if s.queue.rays.len() >= BATCH {
+            flush(world, s, counts);
+        }
+    }
+
+    fn miss(&self, ray: &Ray) -> Sample {
+        let radiance = match self.settings.background {
+            Background::Dome if self.integrator.shows_dome() => self.dome.lookup(ray.dir).0,
+            _ => Vec3::ZERO,
+        };
+        let alpha = if self.settings.background == Background::Transparent { 0.0 } else { 1.0 };
+        Sample { radiance, alpha, aovs: self.settings.aovs.then_some(AovSample::default()) }
+    }
+}
+
+/// A camera ray to be traced.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CameraSample {
+    pixel: [u32; 2],
+    /// Where in the pixel, in [0, 1)², before the filter.
+    place: [f32; 2],
+    /// For its shadow rays.
+    numbers: Numbers,
+    /// How many there are of its sample.
+    pub(super) views: u32,
+    /// Whether it traces shadow rays.
+    shaded: bool,
+}
+
+/// A sample to be shaded when the next one has begun.
+struct Waiting {
+    sample: usize,
+    /// From the camera, metres.
+    distance: f32,
+    surface: Surface,
+}
+
+/// A thread's memory, used again from tile to tile.
+#[derive(Debug, Default)]
+pub(super) struct Scratch {
+    /// The tile's pixels by what they will look up, each with its numbers' seed.
+    pixels: Vec<(u32, [u32; 2], u32)>,
+    pub(super) cameras: Vec<CameraSample>,
+    rays: Vec<Ray>,
+    hits: Vec<Hit>,
+    pub(super) samples: Vec<Sample>,
+    /// What the shaded ones were expected to be.
+    expected: Vec<Vec3>,
+    lights: Vec<f32>,
+    pub(super) occluded: Vec<u8>,
+    draws: Draws,
+    pub(super) queue: Queue,
+    pub(super) visibility: visibility::Scratch,
+}
