@@ -101,9 +101,9 @@ pub(crate) fn there() -> (u64, &'static str) {
 }
 
 /// A pixel's sums, those of the tiles of a pass, the finished picture and the file that is written from it.
-const FILM: u64 = 136;
+const FILM: u64 = 112;
 /// All further layers of a pixel, likewise.
-const LAYERS: u64 = 290;
+const LAYERS: u64 = 224;
 /// Replicates of a pixel, likewise.
 const VARIANCE: u64 = 120;
 /// A texel of the dome and of the planes it is decoded from.

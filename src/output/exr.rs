@@ -3,16 +3,24 @@
 //! image's display window. Metadata become string attributes; colours are marked as linear Rec. 709 by `chromaticities`
 //! and by `colorInteropID`, which supersedes them.
 
+mod block;
+
 use super::file::write_atomically;
 use super::{Frame, MakeOutput, Output};
 use crate::error::{Error, Result};
 use crate::registry::Plugin;
+use ::exr::block::chunk::{Chunk, CompressedBlock, CompressedScanLineBlock};
+use ::exr::block::writer::ChunksWriter;
 use ::exr::error::Error as ExrError;
-use ::exr::image::{AnyChannel, AnyChannels, Blocks, Encoding, FlatSamples, Image, Layer};
 use ::exr::math::Vec2;
-use ::exr::meta::attribute::{AttributeValue, Chromaticities, Compression, IntegerBounds, LineOrder, Text};
-use ::exr::meta::header::{ImageAttributes, LayerAttributes, standard_names};
-use ::exr::prelude::{SmallVec, WritableImage};
+use ::exr::meta::BlockDescription;
+use ::exr::meta::attribute::{
+    AttributeValue, ChannelDescription, Chromaticities, Compression, IntegerBounds, LineOrder, SampleType, Text,
+};
+use ::exr::meta::header::{Header, ImageAttributes, LayerAttributes, standard_names};
+use ::exr::prelude::SmallVec;
+use block::{Channel, LINES};
+use rayon::prelude::*;
 use std::io;
 use std::path::Path;
 
@@ -30,36 +38,74 @@ struct Exr;
 impl Output for Exr {
     fn write(&self, path: &Path, frame: &Frame) -> Result<()> {
         frame.check(path)?;
-        let (width, height) = (frame.width as usize, frame.height as usize);
-        let mut channels = SmallVec::new();
-        for layer in &frame.layers {
-            let count = layer.channels.len();
-            for (k, channel) in layer.channels.iter().enumerate() {
-                let name =
-                    if layer.name.is_empty() { (*channel).to_owned() } else { format!("{}.{channel}", layer.name) };
-                let plane = layer.pixels.iter().skip(k).step_by(count).copied().collect();
-                channels.push(AnyChannel::new(text(&name), FlatSamples::F32(plane)));
+        let channels = channels(frame);
+        let header = header(frame, &channels);
+        write_atomically(path, |file| write(frame, &channels, header, file).map_err(into_io))
+    }
+}
+
+/// All channels of a frame, by name as the format wants them.
+fn channels(frame: &Frame) -> Vec<Channel<'_>> {
+    let mut channels = Vec::new();
+    for layer in &frame.layers {
+        for (k, channel) in layer.channels.iter().enumerate() {
+            let name = if layer.name.is_empty() { (*channel).to_owned() } else { format!("{}.{channel}", layer.name) };
+            channels.push(Channel { name, pixels: &layer.pixels[k..], step: layer.channels.len() });
+        }
+    }
+    channels.sort_by(|a, b| a.name.as_bytes().cmp(b.name.as_bytes()));
+    channels
+}
+
+fn header(frame: &Frame, channels: &[Channel<'_>]) -> Header {
+    let size = Vec2(frame.width as usize, frame.height as usize);
+    let descriptions: SmallVec<_> =
+        channels.iter().map(|channel| ChannelDescription::named(text(&channel.name), SampleType::F32)).collect();
+    let [full_width, full_height] = if frame.full == [0, 0] { [frame.width, frame.height] } else { frame.full };
+    let window = IntegerBounds::new(Vec2(0, 0), Vec2(full_width as usize, full_height as usize));
+    let mut shared = ImageAttributes::new(window);
+    shared.chromaticities = Some(Chromaticities {
+        red: Vec2(0.64, 0.33),
+        green: Vec2(0.30, 0.60),
+        blue: Vec2(0.15, 0.06),
+        white: Vec2(0.3127, 0.3290),
+    });
+    Header::new(Text::default(), size, descriptions)
+        .with_encoding(Compression::ZIP16, BlockDescription::ScanLines, LineOrder::Increasing)
+        .with_attributes(attributes(frame))
+        .with_shared_attributes(shared)
+}
+
+/// Writes block after block; so many are deflated at a time as keep all threads busy.
+fn write(
+    frame: &Frame,
+    channels: &[Channel<'_>],
+    header: Header,
+    file: impl io::Write + io::Seek,
+) -> ::exr::error::UnitResult {
+    let (width, height) = (frame.width as usize, frame.height as usize);
+    let blocks: Vec<_> = (0..height).step_by(LINES).map(|first| first..(first + LINES).min(height)).collect();
+    let top = header.own_attributes.layer_position.y();
+    ::exr::block::write(file, SmallVec::from_iter([header]), true, |_, writer| {
+        let together = 8 * rayon::current_num_threads();
+        for (at, blocks) in (0..).step_by(together).zip(blocks.chunks(together)) {
+            let deflated = blocks.par_iter().map(|lines| block::compressed(channels, width, lines.clone()));
+            let deflated: Vec<_> = deflated.collect();
+            for ((index, lines), compressed_pixels_le) in (at..).zip(blocks).zip(deflated) {
+                let y_coordinate = top + lines.start as i32;
+                let block = CompressedScanLineBlock { y_coordinate, compressed_pixels_le };
+                writer
+                    .write_chunk(index, Chunk { layer_index: 0, compressed_block: CompressedBlock::ScanLine(block) })?;
             }
         }
-        let encoding =
-            Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
-        let [full_width, full_height] = if frame.full == [0, 0] { [frame.width, frame.height] } else { frame.full };
-        let window = IntegerBounds::new(Vec2(0, 0), Vec2(full_width as usize, full_height as usize));
-        let mut attributes = ImageAttributes::new(window);
-        attributes.chromaticities = Some(Chromaticities {
-            red: Vec2(0.64, 0.33),
-            green: Vec2(0.30, 0.60),
-            blue: Vec2(0.15, 0.06),
-            white: Vec2(0.3127, 0.3290),
-        });
-        let layer = Layer::new(Vec2(width, height), self::attributes(frame), encoding, AnyChannels::sort(channels));
-        let image = Image::new(attributes, layer);
-        write_atomically(path, |file| {
-            image.write().to_buffered(file).map_err(|e| match e {
-                ExrError::Io(e) => e,
-                other => io::Error::other(other.to_string()),
-            })
-        })
+        Ok(())
+    })
+}
+
+fn into_io(error: ExrError) -> io::Error {
+    match error {
+        ExrError::Io(error) => error,
+        other => io::Error::other(other.to_string()),
     }
 }
 
