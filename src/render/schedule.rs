@@ -9,6 +9,7 @@
 //! every replicate has numbers of its own ([`crate::film::replicates`]).
 
 use super::Settings;
+use std::ops::Range;
 
 /// Which pixels a pass takes: those of some ranks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,29 +20,32 @@ pub(super) struct Lattice {
     returns: bool,
 }
 
+/// Side of the squares that ranks are given in.
+const SIDE: u32 = 8;
+
 /// Ranks there are.
-const RANKS: u32 = 64;
+const RANKS: u32 = SIDE * SIDE;
 
 /// A pixel's place in an order of squares of 8 × 8 pixels in which each beginning of 2ⁿ is a lattice (Bayer 1973).
 fn rank(x: u32, y: u32) -> u32 {
-    const SIDE: usize = 8;
-    const OF: [[u8; SIDE]; SIDE] = {
-        let mut of = [[0; SIDE]; SIDE];
+    const WIDE: usize = SIDE as usize;
+    const OF: [[u8; WIDE]; WIDE] = {
+        let mut of = [[0; WIDE]; WIDE];
         let mut at = 0;
-        while at < SIDE * SIDE {
+        while at < WIDE * WIDE {
             // The first one is not at the edge of the image, where there are fewer around it.
-            let (x, y) = (at % SIDE + 3, at / SIDE + 3);
+            let (x, y) = (at % WIDE + 3, at / WIDE + 3);
             let mut bit = 0;
             while bit < 3 {
                 let pair = ((x ^ y) >> bit & 1) << 1 | (y >> bit & 1);
-                of[at / SIDE][at % SIDE] |= (pair as u8) << (4 - 2 * bit);
+                of[at / WIDE][at % WIDE] |= (pair as u8) << (4 - 2 * bit);
                 bit += 1;
             }
             at += 1;
         }
         of
     };
-    u32::from(OF[y as usize % SIDE][x as usize % SIDE])
+    u32::from(OF[y as usize % WIDE][x as usize % WIDE])
 }
 
 impl Lattice {
@@ -57,9 +61,22 @@ impl Lattice {
         self.to == 1
     }
 
-    pub(super) fn takes(self, x: u32, y: u32) -> bool {
+    fn takes(self, x: u32, y: u32) -> bool {
         let rank = rank(x, y);
         (self.from..self.to).contains(&rank) || self.returns && rank == 0
+    }
+
+    /// The columns of a row that are taken, from left to right.
+    pub(super) fn columns(self, y: u32, across: Range<u32>) -> impl Iterator<Item = u32> {
+        let (mut taken, mut count) = ([0; SIDE as usize], 0);
+        for x in (0..SIDE).filter(|&x| self.takes(x, y)) {
+            taken[count] = x;
+            count += 1;
+        }
+        // Squares that have none cost no look at their pixels.
+        let squares = (across.start / SIDE..across.end.div_ceil(SIDE)).take(if count > 0 { usize::MAX } else { 0 });
+        let columns = squares.flat_map(move |square| (0..count).map(move |i| square * SIDE + taken[i]));
+        columns.filter(move |x| across.contains(x))
     }
 
     /// The share of the pixels.
@@ -196,6 +213,16 @@ mod tests {
                 let inside = (x..x + wide).flat_map(|x| (y..y + side).map(move |y| (x, y)));
                 assert_eq!(inside.filter(|&(x, y)| taken(x, y)).count(), 1, "{stage:?} at {x}, {y}");
             }
+        }
+    }
+
+    #[test]
+    fn a_row_has_the_columns_that_are_taken() {
+        let lattices: Vec<_> = Lattice::stages().chain([Lattice::ALL]).collect();
+        for (lattice, y, across) in lattices.into_iter().flat_map(|l| (0..8).map(move |y| (l, y, 3 + y..30 - y))) {
+            let columns: Vec<_> = lattice.columns(y, across.clone()).collect();
+            let taken: Vec<_> = across.clone().filter(|&x| lattice.takes(x, y)).collect();
+            assert_eq!(columns, taken, "{lattice:?}, row {y}, {across:?}");
         }
     }
 

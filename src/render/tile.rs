@@ -50,8 +50,9 @@ impl Render<'_> {
         s.cameras.clear();
         s.pixels.clear();
         let seed = |[column, row]: [u32; 2], of, purpose| random::hash(&[self.settings.seed, column, row, of, purpose]);
-        let pixels = (y..y + height).flat_map(|row| (x..x + width).map(move |column| [column, row]));
-        s.pixels.extend(pixels.filter(|&[column, row]| pass.lattice.takes(column, row)).map(|pixel| {
+        let columns = |row| pass.lattice.columns(row, x..x + width);
+        let pixels = (y..y + height).flat_map(|row| columns(row).map(move |column| [column, row]));
+        s.pixels.extend(pixels.map(|pixel| {
             let numbers = seed(pixel, pass.sequence, 1);
             (world.sampler.place(pixel, numbers), pixel, numbers)
         }));
