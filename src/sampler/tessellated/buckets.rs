@@ -4,7 +4,6 @@
 //! line: where the first one is along the curve, and where the counts of each begin, as far as the first cell beyond.
 //! Domes are larger than caches: a search through the CDF itself waits for memory at every other step.
 
-use super::draw::BLOCK;
 use super::lanes;
 use super::texels::COUNTS;
 use crate::pages::Pages;
@@ -116,7 +115,7 @@ impl View<'_> {
 
     /// Which beginning in its line is the last that does not exceed a count `at`, for each of a block.
     #[inline(always)]
-    pub(super) fn begun(&self, line: &[u32], at: &[u32; BLOCK]) -> [u32; BLOCK] {
+    pub(super) fn begun<const N: usize>(&self, line: &[u32], at: &[u32; N]) -> [u32; N] {
         lanes::begun(self.lines, line, at)
     }
 
@@ -231,7 +230,7 @@ mod tests {
                 let begin = of_group[cell];
                 let expected = Found { place: first + cell as u32, begin, width: end - begin };
                 let line = buckets.ask_for(group as u32, at);
-                let begun = buckets.begun(&[line], &[at; BLOCK])[0];
+                let begun = buckets.begun(&[line], &[at])[0];
                 assert_eq!(buckets.cell(line, begun, at, &begins), expected, "{group}: {at}");
             }
             first += of_group.len() as u32;

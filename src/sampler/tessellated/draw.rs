@@ -18,44 +18,41 @@ use crate::sampler::tessellation::LEAVES_A_GROUP;
 use crate::simd::{Kernel, prefetch};
 use glam::Vec3;
 
-/// Numbers treated together: a vector register of them.
-pub(super) const BLOCK: usize = 16;
-
-/// A block of numbers. Widths and totals are those of the level last passed.
+/// A block of numbers that are treated together. Widths and totals are those of the level last passed.
 #[derive(Debug)]
-pub(super) struct Block {
+pub(super) struct Block<const N: usize> {
     /// How many numbers are in it.
     pub(super) count: usize,
     /// Random bits, fresh for each level.
-    fresh: [u32; BLOCK],
+    fresh: [u32; N],
     /// The integer position in the present level's counts.
-    at: [u32; BLOCK],
+    at: [u32; N],
     /// Position beyond the chosen item's beginning, and the item's width.
-    offset: [u32; BLOCK],
-    width: [u32; BLOCK],
+    offset: [u32; N],
+    width: [u32; N],
     /// Product of width/total so far.
-    probability: [f32; BLOCK],
+    probability: [f32; N],
     /// Counts of the next level.
-    total: [u32; BLOCK],
+    total: [u32; N],
     /// The slot of the group.
-    pub(super) group: [u32; BLOCK],
+    pub(super) group: [u32; N],
     /// The slot of the leaf, [`WHOLE_GROUP`] or [`NO_LEAF`].
-    leaf: [u32; BLOCK],
+    leaf: [u32; N],
     /// The line of cells that it falls to, then its cell's place along the curve.
-    line: [u32; BLOCK],
-    along: [u32; BLOCK],
+    line: [u32; N],
+    along: [u32; N],
     /// What the control variate takes the visibility for.
-    control: [f32; BLOCK],
+    control: [f32; N],
     /// Row and column of the cell.
-    place: [Place; BLOCK],
+    place: [Place; N],
     /// Its sides: cosine and sine of its middle's azimuth; 1 − |y| and its change, the sign of y.
-    cell: [[f32; BLOCK]; 5],
+    cell: [[f32; N]; 5],
     /// What is drawn: a direction, its radiance, its density.
-    pub(super) dir: [[f32; BLOCK]; 3],
-    pub(super) radiance: [[f32; BLOCK]; 3],
-    pub(super) pdf: [f32; BLOCK],
+    pub(super) dir: [[f32; N]; 3],
+    pub(super) radiance: [[f32; N]; 3],
+    pub(super) pdf: [f32; N],
     /// b (n·ω): the control variate by the radiance.
-    pub(super) factor: [f32; BLOCK],
+    pub(super) factor: [f32; N],
 }
 
 /// The group turned out to have no light above the horizon.
@@ -67,33 +64,33 @@ const AT_HORIZON: u32 = 1 << 31;
 /// The cell is drawn from the group's own CDF, by energy alone.
 const WHOLE_GROUP: u32 = u32::MAX - 1;
 
-impl Default for Block {
+impl<const N: usize> Default for Block<N> {
     fn default() -> Self {
         Self {
             count: 0,
-            fresh: [0; BLOCK],
-            at: [0; BLOCK],
-            offset: [0; BLOCK],
-            width: [0; BLOCK],
-            probability: [0.0; BLOCK],
-            total: [0; BLOCK],
-            group: [0; BLOCK],
-            leaf: [0; BLOCK],
-            line: [0; BLOCK],
-            along: [0; BLOCK],
-            control: [0.0; BLOCK],
-            place: [Place::default(); BLOCK],
-            cell: [[0.0; BLOCK]; 5],
-            dir: [[0.0; BLOCK]; 3],
-            radiance: [[0.0; BLOCK]; 3],
-            pdf: [0.0; BLOCK],
-            factor: [0.0; BLOCK],
+            fresh: [0; N],
+            at: [0; N],
+            offset: [0; N],
+            width: [0; N],
+            probability: [0.0; N],
+            total: [0; N],
+            group: [0; N],
+            leaf: [0; N],
+            line: [0; N],
+            along: [0; N],
+            control: [0.0; N],
+            place: [Place::default(); N],
+            cell: [[0.0; N]; 5],
+            dir: [[0.0; N]; 3],
+            radiance: [[0.0; N]; 3],
+            pdf: [0.0; N],
+            factor: [0.0; N],
         }
     }
 }
 
 /// The first part of the way, for numbers `first..first + count` of `of`: down to a line of cells, which memory is asked for.
-pub(super) struct Choose<'a> {
+pub(super) struct Choose<'a, const N: usize> {
     pub(super) sampler: &'a Tessellated,
     pub(super) weights: &'a Weights,
     pub(super) leaves: &'a mut LeafMemo,
@@ -101,10 +98,10 @@ pub(super) struct Choose<'a> {
     pub(super) first: u32,
     pub(super) count: usize,
     pub(super) of: u32,
-    pub(super) block: &'a mut Block,
+    pub(super) block: &'a mut Block<N>,
 }
 
-impl Kernel for Choose<'_> {
+impl<const N: usize> Kernel for Choose<'_, N> {
     type Output = ();
 
     #[inline(always)]
@@ -113,7 +110,7 @@ impl Kernel for Choose<'_> {
         block.count = count;
         let step = f64::from(weights.total) / f64::from(of);
         // Loops of arithmetic alone run over the whole block, whatever stands in its rest.
-        for i in 0..BLOCK {
+        for i in 0..N {
             let index = first + i as u32;
             let stratum = numbers.within_stratum(index);
             let fresh = numbers.word(index, 1);
@@ -123,24 +120,24 @@ impl Kernel for Choose<'_> {
         }
         block.groups(weights, count);
         let total = weights.total as f32;
-        for i in 0..BLOCK {
+        for i in 0..N {
             block.probability[i] = block.width[i] as f32 / total;
             // Most groups are drawn from by energy alone.
             block.at[i] = whole(remainder(block, i) * f64::from(COUNTS)).min(COUNTS - 1);
         }
-        (block.leaf, block.total) = ([WHOLE_GROUP; BLOCK], [COUNTS; BLOCK]);
+        (block.leaf, block.total) = ([WHOLE_GROUP; N], [COUNTS; N]);
         block.lines(sampler, weights, leaves, count);
     }
 }
 
 /// The second part: to one cell, which memory is asked for.
-pub(super) struct Find<'a> {
+pub(super) struct Find<'a, const N: usize> {
     pub(super) sampler: &'a Tessellated,
     pub(super) aim: Aim,
-    pub(super) block: &'a mut Block,
+    pub(super) block: &'a mut Block<N>,
 }
 
-impl Kernel for Find<'_> {
+impl<const N: usize> Kernel for Find<'_, N> {
     type Output = ();
 
     #[inline(always)]
@@ -151,13 +148,13 @@ impl Kernel for Find<'_> {
 }
 
 /// The last part: to directions inside the cells.
-pub(super) struct Aimed<'a> {
+pub(super) struct Aimed<'a, const N: usize> {
     pub(super) sampler: &'a Tessellated,
     pub(super) normal: Vec3,
-    pub(super) block: &'a mut Block,
+    pub(super) block: &'a mut Block<N>,
 }
 
-impl Kernel for Aimed<'_> {
+impl<const N: usize> Kernel for Aimed<'_, N> {
     type Output = ();
 
     #[inline(always)]
@@ -166,11 +163,11 @@ impl Kernel for Aimed<'_> {
         let count = block.count;
         block.sides(sampler, count);
         let half_azimuth = sampler.cells.half_azimuth;
-        for i in 0..BLOCK {
+        for i in 0..N {
             let probability = block.probability[i] * (block.width[i] as f32 / block.total[i] as f32);
             block.pdf[i] = probability / block.pdf[i];
         }
-        for i in 0..BLOCK {
+        for i in 0..N {
             // The last of the number, digit by digit to the two sides of the cell; fresh digits below.
             let fresh = random::mix(block.fresh[i] ^ 0x3c6e_f372);
             let rest = (block.offset[i] as f32 + random::unit(fresh)) / block.width[i] as f32;
@@ -180,7 +177,7 @@ impl Kernel for Aimed<'_> {
             block.dir[0][i] = side(z, fresh & 0xffff);
             block.dir[1][i] = side(z >> 1, fresh >> 16);
         }
-        for i in 0..BLOCK {
+        for i in 0..N {
             let (x, y) = (block.dir[0][i], block.dir[1][i]);
             let cell = &block.cell;
             let (cos, sin, t, dt, sign) = (cell[0][i], cell[1][i], cell[2][i], cell[3][i], cell[4][i]);
@@ -199,7 +196,7 @@ impl Kernel for Aimed<'_> {
 
 /// What is left of a number inside the item it fell to, in [0, 1): the integer part with fresh digits below.
 #[inline(always)]
-fn remainder(block: &mut Block, i: usize) -> f64 {
+fn remainder<const N: usize>(block: &mut Block<N>, i: usize) -> f64 {
     let fresh = random::mix(block.fresh[i] ^ 0x3c6e_f372);
     block.fresh[i] = fresh;
     (f64::from(block.offset[i]) + f64::from(fresh) * 2f64.powi(-32)) / f64::from(block.width[i])
@@ -218,24 +215,24 @@ pub(super) fn small_whole(x: f32) -> u32 {
     (x - 0.5 + 12_582_912.0).to_bits() & 0x3f_ffff
 }
 
-impl Block {
+impl<const N: usize> Block<N> {
     #[inline(always)]
     fn groups(&mut self, weights: &Weights, count: usize) {
         let Self { at, line: lane, group, offset, width, .. } = self;
         let all = *at;
         // Empty lanes begin where their successor does: the last that has begun holds the count.
-        let (mut begun, mut before) = ([0; BLOCK], [0; BLOCK]);
+        let (mut begun, mut before) = ([0; N], [0; N]);
         for begin in weights.lanes {
-            for i in 0..BLOCK {
+            for i in 0..N {
                 begun[i] += u32::from(begin <= at[i]);
                 before[i] = if begin <= at[i] { begin } else { before[i] };
             }
         }
-        for i in 0..BLOCK {
+        for i in 0..N {
             (at[i], lane[i]) = (at[i] - before[i], begun[i] - 1);
         }
         let found = lanes::find(&weights.begins, lane, at);
-        for i in 0..BLOCK {
+        for i in 0..N {
             group[i] = found.row[i] * GROUP_LANES as u32 + lane[i];
             (offset[i], width[i]) = (at[i] - found.begin[i], found.end[i] - found.begin[i]);
         }
@@ -255,12 +252,12 @@ impl Block {
         let table = weights.purpose.subject.cell().and_then(|cell| sampler.table[cell].get());
         let buckets = sampler.texels.buckets.view();
         // No branch: which way a number goes is nearly a coin's toss.
-        let (mut by_leaf, mut many) = ([0; BLOCK], 0);
+        let (mut by_leaf, mut many) = ([0; N], 0);
         for i in 0..count {
             let group = self.group[i];
             let control = weights.control[group as usize];
             (self.control[i], self.line[i]) = (control.abs(), buckets.ask_for(group, self.at[i]));
-            by_leaf[many % BLOCK] = i;
+            by_leaf[many % N] = i;
             many += usize::from(!goes_by_energy(control));
         }
         // Step by step, each asking for the memory of the next.

@@ -3,7 +3,6 @@
 #![allow(unsafe_code, reason = "kernels for AVX-512, which takes sixteen words as one; each has a portable twin")]
 
 use super::buckets::Line;
-use super::draw::BLOCK;
 use crate::sampler::preconvolution::GROUP_LANES;
 use crate::simd;
 use std::hint::select_unpredictable;
@@ -13,19 +12,20 @@ pub(super) type Row = [u32; GROUP_LANES];
 
 /// Where each number of a block falls in its lane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Found {
+pub(super) struct Found<const N: usize> {
     /// The last row whose counts do not exceed the number.
-    pub(super) row: [u32; BLOCK],
+    pub(super) row: [u32; N],
     /// The counts there, and those of the next row.
-    pub(super) begin: [u32; BLOCK],
-    pub(super) end: [u32; BLOCK],
+    pub(super) begin: [u32; N],
+    pub(super) end: [u32; N],
 }
 
 /// Finds each number `at` in its lane. Rows rise; the first is 0, the last is above every number.
 #[inline(always)]
-pub(super) fn find(rows: &[Row], lane: &[u32; BLOCK], at: &[u32; BLOCK]) -> Found {
+pub(super) fn find<const N: usize>(rows: &[Row], lane: &[u32; N], at: &[u32; N]) -> Found<N> {
+    // A register of them; for fewer, the way through all rows is longer than theirs.
     #[cfg(target_arch = "x86_64")]
-    if simd::has_avx512() {
+    if N == GROUP_LANES && simd::has_avx512() {
         // SAFETY: The processor has AVX-512 F.
         return unsafe { find_avx512(rows, lane, at) };
     }
@@ -34,12 +34,12 @@ pub(super) fn find(rows: &[Row], lane: &[u32; BLOCK], at: &[u32; BLOCK]) -> Foun
 
 /// Number by number.
 #[inline(always)]
-fn find_portable(rows: &[Row], lane: &[u32; BLOCK], at: &[u32; BLOCK]) -> Found {
-    let mut found = Found { row: [0; BLOCK], begin: [0; BLOCK], end: [0; BLOCK] };
+fn find_portable<const N: usize>(rows: &[Row], lane: &[u32; N], at: &[u32; N]) -> Found<N> {
+    let mut found = Found { row: [0; N], begin: [0; N], end: [0; N] };
     // As many as there usually are.
     let many: Option<&[_; 33]> = rows.try_into().ok();
     let few: Option<&[_; 17]> = rows.try_into().ok();
-    for i in 0..BLOCK {
+    for i in 0..N {
         let (lane, at) = (lane[i] as usize % GROUP_LANES, at[i]);
         let row = match (many, few) {
             (Some(rows), _) => halve_in::<32>(rows.first_chunk().expect("one less"), lane, at),
@@ -80,25 +80,26 @@ fn halve_in<const ROWS: usize>(rows: &[Row; ROWS], lane: usize, at: u32) -> usiz
 /// The processor has AVX-512 F.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f")]
-unsafe fn find_avx512(rows: &[Row], lane: &[u32; BLOCK], at: &[u32; BLOCK]) -> Found {
+unsafe fn find_avx512<const N: usize>(rows: &[Row], lane: &[u32; N], at: &[u32; N]) -> Found<N> {
     use std::arch::x86_64::*;
-    const { assert!(BLOCK == 16 && GROUP_LANES == 16, "a register's lanes") };
-    // SAFETY: All loads and stores are of whole arrays of sixteen.
+    const { assert!(N <= 16 && GROUP_LANES == 16, "a register's lanes") };
+    let all = ((1u32 << N) - 1) as __mmask16;
+    // SAFETY: Loads and stores of whole rows, and of the N numbers of whole arrays.
     unsafe {
-        let load = |from: &[u32; 16]| _mm512_loadu_si512(from.as_ptr().cast());
+        let load = |from: &[u32; N]| _mm512_maskz_loadu_epi32(all, from.as_ptr().cast());
         let (lane, at, one) = (load(lane), load(at), _mm512_set1_epi32(1));
         let (mut row, mut begin) = (_mm512_setzero_si512(), _mm512_setzero_si512());
         let mut end = _mm512_set1_epi32(-1);
         for next in rows.iter().skip(1) {
-            let next = _mm512_permutexvar_epi32(lane, load(next));
+            let next = _mm512_permutexvar_epi32(lane, _mm512_loadu_si512(next.as_ptr().cast()));
             let begun = _mm512_cmple_epu32_mask(next, at);
             row = _mm512_mask_add_epi32(row, begun, row, one);
             begin = _mm512_mask_mov_epi32(begin, begun, next);
             end = _mm512_mask_min_epu32(end, !begun, end, next);
         }
-        let mut found = Found { row: [0; BLOCK], begin: [0; BLOCK], end: [0; BLOCK] };
+        let mut found = Found { row: [0; N], begin: [0; N], end: [0; N] };
         for (to, from) in [(&mut found.row, row), (&mut found.begin, begin), (&mut found.end, end)] {
-            _mm512_storeu_si512(to.as_mut_ptr().cast(), from);
+            _mm512_mask_storeu_epi32(to.as_mut_ptr().cast(), all, from);
         }
         found
     }
@@ -107,7 +108,7 @@ unsafe fn find_avx512(rows: &[Row], lane: &[u32; BLOCK], at: &[u32; BLOCK]) -> F
 /// For each number `at`, the last word of its line that does not exceed it. After the first word, which is no matter, a
 /// line's words rise.
 #[inline(always)]
-pub(super) fn begun(lines: &[Line], line: &[u32], at: &[u32; BLOCK]) -> [u32; BLOCK] {
+pub(super) fn begun<const N: usize>(lines: &[Line], line: &[u32], at: &[u32; N]) -> [u32; N] {
     #[cfg(target_arch = "x86_64")]
     if simd::has_avx512() {
         // SAFETY: The processor has AVX-512 F and what comes before it.
@@ -118,8 +119,8 @@ pub(super) fn begun(lines: &[Line], line: &[u32], at: &[u32; BLOCK]) -> [u32; BL
 
 /// By halves.
 #[inline(always)]
-fn begun_portable(lines: &[Line], line: &[u32], at: &[u32; BLOCK]) -> [u32; BLOCK] {
-    let mut all = [0; BLOCK];
+fn begun_portable<const N: usize>(lines: &[Line], line: &[u32], at: &[u32; N]) -> [u32; N] {
+    let mut all = [0; N];
     for ((begun, &line), &at) in all.iter_mut().zip(line).zip(at) {
         let Line(words) = &lines[line as usize];
         for step in [8, 4, 2, 1] {
@@ -136,9 +137,9 @@ fn begun_portable(lines: &[Line], line: &[u32], at: &[u32; BLOCK]) -> [u32; BLOC
 /// The processor has AVX-512 F and POPCNT.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,popcnt")]
-unsafe fn begun_avx512(lines: &[Line], line: &[u32], at: &[u32; BLOCK]) -> [u32; BLOCK] {
+unsafe fn begun_avx512<const N: usize>(lines: &[Line], line: &[u32], at: &[u32; N]) -> [u32; N] {
     use std::arch::x86_64::*;
-    let mut all = [0; BLOCK];
+    let mut all = [0; N];
     for ((begun, &line), &at) in all.iter_mut().zip(line).zip(at) {
         let Line(words) = &lines[line as usize];
         // SAFETY: A load of a whole array of sixteen.
@@ -153,6 +154,8 @@ unsafe fn begun_avx512(lines: &[Line], line: &[u32], at: &[u32; BLOCK]) -> [u32;
 mod tests {
     use super::*;
     use crate::random;
+
+    const BLOCK: usize = 16;
 
     /// Lines of all lengths, with first words below and above.
     #[test]

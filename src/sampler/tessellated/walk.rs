@@ -5,7 +5,7 @@
 //! waits for its predecessor: [`Tessellated::begin`] for point i + 1 comes before [`Tessellated::walk`] for point i.
 
 use super::Tessellated;
-use super::draw::{Aimed, BLOCK, Block, Choose, Find};
+use super::draw::{Aimed, Block, Choose, Find};
 use super::leaves::LeafMemo;
 use super::normals::Aim;
 use super::weights::{Purpose, Weights};
@@ -26,6 +26,11 @@ pub(super) struct Asked {
 impl Asked {
     pub(super) fn new(point: &Point, n: u32) -> Self {
         Self { normal: point.ns, numbers: point.numbers, n }
+    }
+
+    /// Whether small blocks serve.
+    fn are_few(&self) -> bool {
+        self.n <= FEW as u32
     }
 }
 
@@ -52,14 +57,25 @@ struct Begun {
     target: u32,
 }
 
-/// The present point and the next one, each with its first block; and blocks for what follows.
+/// Numbers of a block: a register of them where there are so many, else a quarter of one.
+const MANY: usize = 16;
+const FEW: usize = 4;
+
+/// The first block of the present point and of the next one, and blocks for what follows.
+#[derive(Debug, Default)]
+struct Blocks<const N: usize> {
+    first: [Block<N>; 2],
+    rest: [Block<N>; 2],
+}
+
+/// The present point and the next one.
 #[derive(Debug, Default)]
 pub struct Walk {
     begun: [Option<Begun>; 2],
-    first: [Block; 2],
     /// Which of the two has begun last.
     last: usize,
-    rest: [Block; 2],
+    many: Blocks<MANY>,
+    few: Blocks<FEW>,
     leaves: LeafMemo,
 }
 
@@ -68,9 +84,13 @@ impl Tessellated {
     pub(super) fn begin(&self, point: &Point, n: u32, out: &mut Draws) {
         let (record, target) = self.memory.consult(point, out);
         let record = record.map(|record| record.slot);
-        let Prepared { memo, walk: Walk { begun, first, last, leaves, .. }, .. } = &mut out.prepared;
-        if let Some(Begun { stage: stage @ Stage::Chosen, aim, .. }) = &mut begun[*last] {
-            dispatch(Find { sampler: self, aim: *aim, block: &mut first[*last] });
+        let Prepared { memo, walk: Walk { begun, last, many, few, leaves }, .. } = &mut out.prepared;
+        if let Some(Begun { asked, stage: stage @ Stage::Chosen, aim, .. }) = &mut begun[*last] {
+            if asked.are_few() {
+                self.find(&mut few.first[*last], *aim);
+            } else {
+                self.find(&mut many.first[*last], *aim);
+            }
             *stage = Stage::Found;
         }
         *last = 1 - *last;
@@ -78,7 +98,11 @@ impl Tessellated {
         let (asked, purpose, aim) = (Asked::new(point, n), weights.purpose, weights.aim);
         let stage = if n > 0 && weights.total > 0 { Stage::Chosen } else { Stage::Asked };
         if stage == Stage::Chosen {
-            self.choose(weights, leaves, &asked, 0, &mut first[*last]);
+            if asked.are_few() {
+                self.choose(weights, leaves, &asked, 0, &mut few.first[*last]);
+            } else {
+                self.choose(weights, leaves, &asked, 0, &mut many.first[*last]);
+            }
         }
         begun[*last] = Some(Begun { asked, stage, purpose, entry: memo.place(), aim, record, target });
     }
@@ -95,7 +119,7 @@ impl Tessellated {
         let slot = usize::from(!of_point(&out.prepared.walk.begun[0]));
         let begun = out.prepared.walk.begun[slot].take().expect("it has begun");
         let Draws { dir, radiance, pdf, control, integral, target: targets, prepared, .. } = out;
-        let Prepared { memo, walk: Walk { first, rest: [rest, _], leaves, .. }, .. } = prepared;
+        let Prepared { memo, walk: Walk { many, few, leaves, .. }, .. } = prepared;
         let record = begun.record;
         if !memo.recall(&begun.purpose, begun.entry) {
             self.weights(point.ns, n, record, memo);
@@ -105,55 +129,71 @@ impl Tessellated {
         if weights.total == 0 {
             return;
         }
-        let mut lists = Lists { dir, radiance, pdf, targets, target: begun.target, listens: self.listens() };
-        self.descend((weights, leaves), &asked, begun.stage, [&mut first[slot], rest], |block| {
-            lists.add(block);
-            if record.is_some() {
-                let end = control.len() + block.count;
-                control.extend_from_slice(&block.factor);
-                control.truncate(end);
-            }
-        });
+        let control = record.is_some().then_some(control);
+        let listens = self.listens();
+        let mut lists = Lists { dir, radiance, pdf, control, targets, target: begun.target, listens };
+        let weights = (weights, leaves);
+        if asked.are_few() {
+            let Blocks { first, rest: [rest, _] } = few;
+            self.descend(weights, &asked, begun.stage, [&mut first[slot], rest], &mut lists);
+        } else {
+            let Blocks { first, rest: [rest, _] } = many;
+            self.descend(weights, &asked, begun.stage, [&mut first[slot], rest], &mut lists);
+        }
     }
 
     /// Directions for a point's lobe.
     pub(super) fn walk_by(&self, asked: &Asked, target: u32, out: &mut Draws) {
         let Draws { dir, radiance, pdf, target: targets, prepared: Prepared { lobe, walk, .. }, .. } = out;
-        let mut lists = Lists { dir, radiance, pdf, targets, target, listens: self.listens() };
-        let Walk { rest: [block, ahead], leaves, .. } = walk;
-        self.descend((lobe, leaves), asked, Stage::Asked, [block, ahead], |block| lists.add(block));
+        let mut lists = Lists { dir, radiance, pdf, control: None, targets, target, listens: self.listens() };
+        let Walk { many, few, leaves, .. } = walk;
+        if asked.are_few() {
+            self.descend((lobe, leaves), asked, Stage::Asked, few.rest.each_mut(), &mut lists);
+        } else {
+            self.descend((lobe, leaves), asked, Stage::Asked, many.rest.each_mut(), &mut lists);
+        }
     }
 
-    fn choose(&self, weights: &Weights, leaves: &mut LeafMemo, asked: &Asked, first: u32, block: &mut Block) {
+    fn choose<const N: usize>(
+        &self,
+        weights: &Weights,
+        leaves: &mut LeafMemo,
+        asked: &Asked,
+        first: u32,
+        block: &mut Block<N>,
+    ) {
         let &Asked { numbers, n, .. } = asked;
-        let count = (n - first).min(BLOCK as u32) as usize;
+        let count = (n - first).min(N as u32) as usize;
         dispatch(Choose { sampler: self, weights, leaves, numbers, first, count, of: n, block });
     }
 
+    fn find<const N: usize>(&self, block: &mut Block<N>, aim: Aim) {
+        dispatch(Find { sampler: self, aim, block });
+    }
+
     /// Block after block, each a part ahead of the one before.
-    fn descend(
+    fn descend<const N: usize>(
         &self,
         (weights, leaves): (&Weights, &mut LeafMemo),
         asked: &Asked,
         stage: Stage,
-        [mut block, mut ahead]: [&mut Block; 2],
-        mut emit: impl FnMut(&Block),
+        [mut block, mut ahead]: [&mut Block<N>; 2],
+        lists: &mut Lists<'_>,
     ) {
-        let find = |block: &mut Block| dispatch(Find { sampler: self, aim: weights.aim, block });
         if stage == Stage::Asked {
             self.choose(weights, leaves, asked, 0, block);
         }
         if stage != Stage::Found {
-            find(block);
+            self.find(block, weights.aim);
         }
-        for next in (0..asked.n).step_by(BLOCK).skip(1).map(Some).chain([None]) {
+        for next in (0..asked.n).step_by(N).skip(1).map(Some).chain([None]) {
             if let Some(next) = next {
                 self.choose(weights, leaves, asked, next, ahead);
             }
             dispatch(Aimed { sampler: self, normal: asked.normal, block });
-            emit(block);
+            lists.add(block);
             if next.is_some() {
-                find(ahead);
+                self.find(ahead, weights.aim);
                 std::mem::swap(&mut block, &mut ahead);
             }
         }
@@ -165,6 +205,8 @@ struct Lists<'a> {
     dir: &'a mut Vectors,
     radiance: &'a mut Vectors,
     pdf: &'a mut Vec<f32>,
+    /// The control variate, if there is one.
+    control: Option<&'a mut Vec<f32>>,
     targets: &'a mut Vec<u32>,
     target: u32,
     listens: bool,
@@ -172,7 +214,7 @@ struct Lists<'a> {
 
 impl Lists<'_> {
     #[inline]
-    fn add(&mut self, block: &Block) {
+    fn add<const N: usize>(&mut self, block: &Block<N>) {
         // Whole blocks, whose copies need no call, less what does not count.
         let end = self.dir.len() + block.count;
         self.dir.extend(&block.dir);
@@ -181,6 +223,10 @@ impl Lists<'_> {
         self.radiance.truncate(end);
         self.pdf.extend_from_slice(&block.pdf);
         self.pdf.truncate(end);
+        if let Some(control) = &mut self.control {
+            control.extend_from_slice(&block.factor);
+            control.truncate(end);
+        }
         if self.listens {
             let none = self.target == NO_TARGET;
             self.targets
