@@ -67,6 +67,7 @@ impl Lambert {
 
 /// Directions treated together.
 const LANES: usize = 16;
+const QUARTER: usize = 4;
 
 /// What each direction adds, and whether it is traced; whether all are, and the control variate's sum.
 struct Weigh<'a> {
@@ -88,37 +89,36 @@ impl Kernel for Weigh<'_> {
     #[inline(always)]
     fn run(mut self) -> (bool, Vec3) {
         let count = self.fate.len();
-        let whole = count - count % LANES;
-        let (mut any, mut sums) = ([TRACED; LANES], [[0.0; LANES]; 3]);
+        let mut totals = Totals { any: [TRACED; LANES], control: [[0.0; LANES]; 3] };
+        // What does not fill a register goes in quarters of one, then one by one: copied to one and back it would take longer.
+        let (whole, quarters) = (count - count % LANES, count - count % QUARTER);
         for at in (0..whole).step_by(LANES) {
-            let (fates, control) = self.some::<LANES>(at);
-            for i in 0..LANES {
-                any[i] |= fates[i];
-            }
-            for (sums, control) in sums.iter_mut().zip(control) {
-                for i in 0..LANES {
-                    sums[i] += control[i];
-                }
-            }
+            self.some::<LANES>(at, &mut totals);
         }
-        // What does not fill a register goes one by one: copied to one and back it would take longer.
-        for i in 0..count - whole {
-            let ([fate], control) = self.some::<1>(whole + i);
-            any[i] |= fate;
-            for (sums, [control]) in sums.iter_mut().zip(control) {
-                sums[i] += control;
-            }
+        for at in (whole..quarters).step_by(QUARTER) {
+            self.some::<QUARTER>(at, &mut totals);
         }
-        let [r, g, b] = sums;
+        for at in quarters..count {
+            self.some::<1>(at, &mut totals);
+        }
+        let [r, g, b] = totals.control;
         let control = Vec3::new(r.iter().sum(), g.iter().sum(), b.iter().sum());
-        (any.iter().all(|&fate| fate == TRACED), control)
+        (totals.any.into_iter().fold(TRACED, |all, fate| all | fate) == TRACED, control)
     }
 }
 
+/// What many directions come to, lane by lane.
+struct Totals {
+    /// All fates.
+    any: [u32; LANES],
+    /// The control variate's sum, a channel each.
+    control: [[f32; LANES]; 3],
+}
+
 impl Weigh<'_> {
-    /// So many from `at` on: their fates, and what each adds to the control variate's sum.
+    /// So many from `at` on.
     #[inline(always)]
-    fn some<const N: usize>(&mut self, at: usize) -> ([u32; N], [[f32; N]; 3]) {
+    fn some<const N: usize>(&mut self, at: usize, totals: &mut Totals) {
         let Self { point: Lambert { ng, ns, .. }, share, dir, radiance, pdf, control, fate, contributions } = self;
         // In arrays of its own the compiler sees that nothing it writes is what it reads.
         let (x, y, z) = (chunk::<N>(dir[0], at), chunk::<N>(dir[1], at), chunk::<N>(dir[2], at));
@@ -141,16 +141,18 @@ impl Weigh<'_> {
             row[at..at + N].copy_from_slice(&adds);
         }
         fate[at..at + N].copy_from_slice(&fates);
-        let mut taken = [[0.0; N]; 3];
+        let lane = at % LANES;
+        for i in 0..N {
+            totals.any[lane + i] |= fates[i];
+        }
         if !control.is_empty() {
             let control = chunk::<N>(control, at);
-            for (taken, light) in taken.iter_mut().zip([&r, &g, &b]) {
+            for (total, light) in totals.control.iter_mut().zip([&r, &g, &b]) {
                 for i in 0..N {
-                    taken[i] = light[i] * (control[i] / pdf[i]);
+                    total[lane + i] += light[i] * (control[i] / pdf[i]);
                 }
             }
         }
-        (fates, taken)
     }
 }
 

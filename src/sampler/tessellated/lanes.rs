@@ -155,11 +155,14 @@ mod tests {
     use super::*;
     use crate::random;
 
-    const BLOCK: usize = 16;
-
     /// Lines of all lengths, with first words below and above.
     #[test]
     fn a_line_is_read_as_by_counting() {
+        lines_are_read::<16>();
+        lines_are_read::<4>();
+    }
+
+    fn lines_are_read<const N: usize>() {
         let line = |i: u32| {
             let end = 2 + random::hash(&[i]) as usize % 14;
             let mut words = [u32::MAX; 16];
@@ -170,10 +173,10 @@ mod tests {
             Line(words)
         };
         let lines: Vec<Line> = (0..100).map(line).collect();
-        for i in 0..lines.len() - BLOCK {
-            let places: [u32; BLOCK] = std::array::from_fn(|k| (i + k) as u32);
+        for i in 0..lines.len() - N {
+            let places: [u32; N] = std::array::from_fn(|k| (i + k) as u32);
             for at in 8..128 {
-                let ats = std::array::from_fn(|k| at + k as u32);
+                let ats: [u32; N] = std::array::from_fn(|k| at + k as u32);
                 let found = begun(&lines, &places, &ats);
                 assert_eq!(found, begun_portable(&lines, &places, &ats));
                 for (k, found) in found.into_iter().enumerate() {
@@ -187,6 +190,11 @@ mod tests {
     /// Lanes of many and of few counts, with groups of none in the middle, at both ends, and throughout.
     #[test]
     fn numbers_fall_where_counting_says() {
+        numbers_fall::<16>();
+        numbers_fall::<4>();
+    }
+
+    fn numbers_fall<const N: usize>() {
         for rows in [1, 2, 16, 23, 32, 128] {
             let width = |row: usize, lane: usize| match random::hash(&[row as u32, lane as u32]) {
                 word if word % 3 == 0 || lane == 5 => 0,
@@ -200,14 +208,14 @@ mod tests {
             for try_ in 0..200 {
                 let word = |i: usize, purpose| random::hash(&[try_, i as u32, purpose]);
                 // Lanes without counts have no numbers.
-                let lane: [u32; BLOCK] = std::array::from_fn(|i| {
+                let lane: [u32; N] = std::array::from_fn(|i| {
                     let lane = word(i, 0) as usize % GROUP_LANES;
                     (0..GROUP_LANES).map(|k| (lane + k) % GROUP_LANES).find(|&l| sums[rows][l] > 0).expect("one") as u32
                 });
-                let at = std::array::from_fn(|i| word(i, 1) % sums[rows][lane[i] as usize]);
+                let at: [u32; N] = std::array::from_fn(|i| word(i, 1) % sums[rows][lane[i] as usize]);
                 let found = find(&sums, &lane, &at);
                 assert_eq!(found, find_portable(&sums, &lane, &at), "{rows} rows");
-                for i in 0..BLOCK {
+                for i in 0..N {
                     let (row, lane) = (found.row[i] as usize, lane[i] as usize);
                     assert_eq!((found.begin[i], found.end[i]), (sums[row][lane], sums[row + 1][lane]));
                     assert!((found.begin[i]..found.end[i]).contains(&at[i]), "{rows} rows: {found:?}");

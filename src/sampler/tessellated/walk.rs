@@ -235,3 +235,45 @@ impl Lists<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dome::{Dome, Faults, project::Grid};
+    use crate::registry::resolve;
+    use crate::sampler::Setup;
+    use crate::sampler::tessellated::{Memo, PLUGIN};
+    use std::sync::Arc;
+
+    /// Whole blocks and parts of one, for normals with groups at their horizon.
+    #[test]
+    fn small_blocks_and_large_ones_lead_to_the_same_directions() {
+        let grid = Grid::new(64, 32, 0.0);
+        let texels = (0..grid.len()).map(|texel| [0.1 + (texel % 7) as f32; 3]).collect();
+        let dome = Arc::new(Dome { grid, texels, faults: Faults::default() });
+        let (_, params) = resolve("sampler", &[PLUGIN], "tessellated:cache=off").unwrap();
+        let sampler = Tessellated::new(&dome, &params, &Setup { size: [64, 64], gloss: false, rays: 64, spp: 1 });
+        for (n, normal) in (1..=21).flat_map(|n| [(n, Vec3::Y), (n, Vec3::new(0.48, -0.6, 0.64))]) {
+            let mut memo = Memo::default();
+            let weights = sampler.weights(normal, n, None, &mut memo);
+            let asked = Asked { normal, numbers: Numbers { seed: n, sample: 1 }, n };
+            let (small, large) =
+                (descended::<FEW>(&sampler, weights, &asked), descended::<MANY>(&sampler, weights, &asked));
+            assert_eq!(small.dir.len(), n as usize);
+            assert_eq!((&small.dir, &small.radiance, &small.pdf), (&large.dir, &large.radiance, &large.pdf), "{n}");
+            assert_eq!((&small.target, &small.control), (&large.target, &large.control), "{n}");
+        }
+    }
+
+    fn descended<const N: usize>(sampler: &Tessellated, weights: &Weights, asked: &Asked) -> Draws {
+        let mut draws = Draws::default();
+        let Draws { dir, radiance, pdf, control, target: targets, .. } = &mut draws;
+        let control = Some(control);
+        let mut lists = Lists { dir, radiance, pdf, control, targets, target: 7, listens: true };
+        let (mut block, mut ahead) = (Block::<N>::default(), Block::default());
+        let mut leaves = LeafMemo::default();
+        let blocks = [&mut block, &mut ahead];
+        sampler.descend((weights, &mut leaves), asked, Stage::Asked, blocks, &mut lists);
+        draws
+    }
+}
