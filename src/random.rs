@@ -43,7 +43,7 @@ pub fn owen(x: u32, seed: u32) -> u32 {
 }
 
 /// The first two dimensions of Sobol's sequence at `index`, Owen-scrambled by `seed`; 32-bit fractions.
-#[inline]
+#[inline(always)]
 pub fn sobol2(index: u32, seed: u32) -> [u32; 2] {
     // A nested scramble of the index permutes within every aligned power-of-two block: each stays a (0, m, 2)-net.
     let index = owen(index, combine(seed, 2));

@@ -142,8 +142,8 @@ impl Weigh<'_> {
         }
         fate[at..at + N].copy_from_slice(&fates);
         let lane = at % LANES;
-        for i in 0..N {
-            totals.any[lane + i] |= fates[i];
+        for (any, fate) in totals.any[lane..].iter_mut().zip(fates) {
+            *any |= fate;
         }
         if !control.is_empty() {
             let control = chunk::<N>(control, at);

@@ -16,6 +16,7 @@ use crate::integrator::{Queue, Shading, World};
 use crate::random;
 use crate::sampler::{DomeSampler, Draws, Numbers};
 use crate::scene::Surface;
+use crate::simd::{Kernel, dispatch};
 use glam::Vec3;
 
 /// Camera rays traced together.
@@ -49,17 +50,18 @@ impl Render<'_> {
         // of a block's pixels, in which the sampler counts, does not depend on the tile: the sort is stable.
         s.cameras.clear();
         s.pixels.clear();
-        let seed = |[column, row]: [u32; 2], of, purpose| random::hash(&[self.settings.seed, column, row, of, purpose]);
+        let image = random::hash(&[self.settings.seed]);
+        let seed = |of_pixel, of, purpose| random::combine(random::combine(of_pixel, of), purpose);
         let columns = |row| pass.lattice.columns(row, x..x + width);
         let pixels = (y..y + height).flat_map(|row| columns(row).map(move |column| [column, row]));
         s.pixels.extend(pixels.map(|pixel| {
-            let numbers = seed(pixel, pass.sequence, 1);
-            (world.sampler.place(pixel, numbers), pixel, numbers)
+            let of_pixel = random::combine(random::combine(image, pixel[0]), pixel[1]);
+            (world.sampler.place(pixel, seed(of_pixel, pass.sequence, 1)), pixel, of_pixel)
         }));
         s.pixels.sort_by_key(|&(place, ..)| place);
         for i in 0..s.pixels.len() {
-            let (_, pixel, numbers) = s.pixels[i];
-            let places = seed(pixel, pass.replicate, 0);
+            let (_, pixel, of_pixel) = s.pixels[i];
+            let (numbers, places) = (seed(of_pixel, pass.sequence, 1), seed(of_pixel, pass.replicate, 0));
             let views = self.views(world.sampler, (pass, seen), pixel);
             for sample in pass.first..pass.first + pass.count {
                 let numbers = Numbers { seed: numbers, sample };
@@ -67,8 +69,7 @@ impl Render<'_> {
                 let at = pass.before + sample;
                 for view in 0..views {
                     let place = if view == 0 { at } else { each + at * (views - 1) + view - 1 };
-                    let place = random::sobol2(place, places).map(random::unit);
-                    s.cameras.push(CameraSample { pixel, place, numbers, views, shaded: view == 0 });
+                    s.cameras.push(CameraSample { pixel, place, places, numbers, views, shaded: view == 0 });
                 }
                 if s.cameras.len() >= CHUNK {
                     self.chunk(world, (pass, seen), s, film, &mut counts);
@@ -91,7 +92,8 @@ impl Render<'_> {
         s.rays.clear();
         s.samples.clear();
         s.expected.clear();
-        for &CameraSample { pixel: [x, y], place: [u, v], .. } in &s.cameras {
+        dispatch(Places { cameras: &s.cameras, places: &mut s.places });
+        for (&CameraSample { pixel: [x, y], .. }, &[u, v]) in s.cameras.iter().zip(&s.places) {
             let filter = self.settings.filter;
             s.rays.push(self.view.ray(x as f32 + 0.5 + filter.offset(u), y as f32 + 0.5 + filter.offset(v)));
         }
@@ -201,14 +203,44 @@ impl Render<'_> {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CameraSample {
     pixel: [u32; 2],
-    /// Where in the pixel, in [0, 1)², before the filter.
-    place: [f32; 2],
+    /// Where in the pixel: an index into its sequence, and the sequence's seed.
+    place: u32,
+    places: u32,
     /// For its shadow rays.
     numbers: Numbers,
     /// How many there are of its sample.
     pub(super) views: u32,
     /// Whether it traces shadow rays.
     shaded: bool,
+}
+
+/// Camera samples treated together.
+const LANES: usize = 16;
+
+/// Where in their pixels camera samples look, in [0, 1)², before the filter.
+struct Places<'a> {
+    cameras: &'a [CameraSample],
+    places: &'a mut Vec<[f32; 2]>,
+}
+
+impl Kernel for Places<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.places.clear();
+        for cameras in self.cameras.chunks(LANES) {
+            let (mut index, mut seed) = ([0; LANES], [0; LANES]);
+            for ((index, seed), camera) in index.iter_mut().zip(&mut seed).zip(cameras) {
+                (*index, *seed) = (camera.place, camera.places);
+            }
+            let mut places = [[0.0; 2]; LANES];
+            for i in 0..LANES {
+                places[i] = random::sobol2(index[i], seed[i]).map(random::unit);
+            }
+            self.places.extend_from_slice(&places[..cameras.len()]);
+        }
+    }
 }
 
 /// A sample to be shaded when the next one has begun.
@@ -222,9 +254,10 @@ struct Waiting {
 /// A thread's memory, used again from tile to tile.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    /// The tile's pixels by what they will look up, each with its numbers' seed.
+    /// The tile's pixels by what they will look up, each with what its seeds begin with.
     pixels: Vec<(u32, [u32; 2], u32)>,
     pub(super) cameras: Vec<CameraSample>,
+    places: Vec<[f32; 2]>,
     rays: Vec<Ray>,
     hits: Vec<Hit>,
     pub(super) samples: Vec<Sample>,

@@ -1,5 +1,6 @@
-//! Generated geometry and rays for the accelerators' tests.
+//! The accelerators under test, and generated geometry and rays for them.
 
+use domelight::accel::{self, Accel, Coherence, Hit, Mask, Ray};
 use domelight::scene::{AlphaMode, Instance, Material, Mesh, Scene};
 use glam::{Affine3A, Mat3A, Vec3};
 use std::sync::Arc;
@@ -100,4 +101,49 @@ pub(crate) fn add_instance(scene: &mut Scene, mesh: u32, transform: Affine3A) {
 /// The finished scene.
 pub(crate) fn scene_of(scene: Scene) -> Arc<Scene> {
     Arc::new(scene)
+}
+
+/// The accelerators under test: all but the oracle, each with its options.
+pub(crate) fn specs() -> Vec<String> {
+    let mut specs: Vec<String> = accel::ACCELS.iter().map(|p| p.name.to_owned()).collect();
+    if specs.iter().any(|s| s == "embree") {
+        specs.extend(["embree:quality=high,robust=off", "embree:quality=low,compact=on"].map(str::to_owned));
+    }
+    // Vector code that this processor lacks is an error, and nothing to test.
+    let empty = scene_of(Scene::default());
+    let kernels = ["bvh:isa=avx512", "bvh:isa=avx2", "bvh:isa=portable"];
+    specs.extend(kernels.iter().filter(|s| accel::build(s, &empty, 1).is_ok()).map(|s| (*s).to_owned()));
+    specs
+}
+
+pub(crate) fn build(spec: &str, scene: &Arc<Scene>) -> Box<dyn Accel> {
+    accel::build(spec, scene, 2).unwrap_or_else(|e| panic!("{spec}: {e}"))
+}
+
+pub(crate) fn intersect(accel: &dyn Accel, rays: &[Ray], mask: Mask, coherence: Coherence) -> Vec<Hit> {
+    let mut hits = vec![Hit::MISS; rays.len()];
+    accel.intersect(rays, mask, coherence, &mut hits);
+    hits
+}
+
+pub(crate) fn occluded(accel: &dyn Accel, rays: &[Ray], mask: Mask) -> Vec<u8> {
+    let mut answers = vec![7; rays.len()];
+    accel.occluded(rays, mask, &mut answers);
+    assert!(answers.iter().all(|a| *a <= 1), "answers are 0 or 1");
+    answers
+}
+
+/// Rays from in and around the unit cube to anywhere, some with limits.
+pub(crate) fn rays(count: usize, seed: u64) -> Vec<Ray> {
+    let mut random = Random(seed);
+    let mut rays = Vec::with_capacity(count);
+    for i in 0..count {
+        let mut ray = Ray::new(random.in_cube() * 3.0, random.direction() * (0.5 + random.unit()));
+        if i % 4 == 1 {
+            ray.tnear = random.unit();
+            ray.tfar = ray.tnear + 2.0 * random.unit();
+        }
+        rays.push(ray);
+    }
+    rays
 }
