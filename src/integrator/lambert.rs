@@ -4,6 +4,7 @@ use super::Queue;
 use crate::accel::Ray;
 use crate::sampler::Draws;
 use crate::simd::{Kernel, dispatch};
+use crate::vectors::Vectors;
 use glam::Vec3;
 
 /// A direction is traced.
@@ -29,7 +30,7 @@ impl Lambert {
     #[inline]
     pub(super) fn queue(&self, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
         let (count, first) = (draws.dir.len(), queue.rays.len());
-        draws.fate.resize(count, TRACED);
+        draws.fate.clear();
         let Draws { dir, radiance, pdf, control, fate, target, .. } = draws;
         let weigh = Weigh {
             point: self,
@@ -39,7 +40,7 @@ impl Lambert {
             pdf,
             control,
             fate,
-            contributions: queue.contributions.resize(first + count, first),
+            contributions: &mut queue.contributions,
         };
         let (all_traced, control) = dispatch(weigh);
         if all_traced {
@@ -79,8 +80,8 @@ struct Weigh<'a> {
     pdf: &'a [f32],
     /// Empty where there is none.
     control: &'a [f32],
-    fate: &'a mut [u32],
-    contributions: [&'a mut [f32]; 3],
+    fate: &'a mut Vec<u32>,
+    contributions: &'a mut Vectors,
 }
 
 impl Kernel for Weigh<'_> {
@@ -88,7 +89,7 @@ impl Kernel for Weigh<'_> {
 
     #[inline(always)]
     fn run(mut self) -> (bool, Vec3) {
-        let count = self.fate.len();
+        let count = self.pdf.len();
         let mut totals = Totals { any: [TRACED; LANES], control: [[0.0; LANES]; 3] };
         // What does not fill a register goes in quarters of one, then one by one: copied to one and back it would take longer.
         let (whole, quarters) = (count - count % LANES, count - count % QUARTER);
@@ -116,7 +117,7 @@ struct Totals {
 }
 
 impl Weigh<'_> {
-    /// So many from `at` on.
+    /// So many from `at` on, which is as far as it has come.
     #[inline(always)]
     fn some<const N: usize>(&mut self, at: usize, totals: &mut Totals) {
         let Self { point: Lambert { ng, ns, .. }, share, dir, radiance, pdf, control, fate, contributions } = self;
@@ -133,14 +134,14 @@ impl Weigh<'_> {
             fates[i] = if (r[i] == 0.0) & (g[i] == 0.0) & (b[i] == 0.0) { BLACK } else { hidden };
             weight[i] = cosine / pdf[i];
         }
-        for ((row, light), share) in contributions.iter_mut().zip([&r, &g, &b]).zip(share.to_array()) {
-            let mut adds = [0.0; N];
+        let mut adds = [[0.0; N]; 3];
+        for ((adds, light), share) in adds.iter_mut().zip([&r, &g, &b]).zip(share.to_array()) {
             for i in 0..N {
                 adds[i] = light[i] * (share * weight[i]);
             }
-            row[at..at + N].copy_from_slice(&adds);
         }
-        fate[at..at + N].copy_from_slice(&fates);
+        contributions.extend(&adds);
+        fate.extend_from_slice(&fates);
         let lane = at % LANES;
         for (any, fate) in totals.any[lane..].iter_mut().zip(fates) {
             *any |= fate;
