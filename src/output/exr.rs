@@ -76,7 +76,7 @@ fn header(frame: &Frame, channels: &[Channel<'_>]) -> Header {
         .with_shared_attributes(shared)
 }
 
-/// Writes block after block; so many are deflated at a time as keep all threads busy.
+/// Writes block after block. As many are deflated at a time, and held, as keep all threads busy.
 fn write(
     frame: &Frame,
     channels: &[Channel<'_>],
@@ -87,7 +87,7 @@ fn write(
     let blocks: Vec<_> = (0..height).step_by(LINES).map(|first| first..(first + LINES).min(height)).collect();
     let top = header.own_attributes.layer_position.y();
     ::exr::block::write(file, SmallVec::from_iter([header]), true, |_, writer| {
-        let together = 8 * rayon::current_num_threads();
+        let together = 4 * rayon::current_num_threads();
         for (at, blocks) in (0..).step_by(together).zip(blocks.chunks(together)) {
             let deflated = blocks.par_iter().map(|lines| block::compressed(channels, width, lines.clone()));
             let deflated: Vec<_> = deflated.collect();

@@ -1,7 +1,7 @@
 //! A block of scan lines as the format's ZIP compression has it.
 //!
-//! The crate deflates at zlib's level 4: on renders, whose mantissas are noise, four to five times as long as level 1 takes
-//! for files 2 to 6 % smaller, and a tenth of a quick look's processor time. It leaves the level to nobody.
+//! The crate deflates at zlib's level 4 and has no option for another. On renders, whose mantissas are noise, that takes four
+//! to five times as long as level 1, a tenth of a quick look's processor time, for files 2 to 6 % smaller.
 
 use miniz_oxide::deflate::compress_to_vec_zlib;
 use std::ops::Range;
@@ -33,7 +33,7 @@ pub(super) fn compressed(channels: &[Channel<'_>], width: usize, lines: Range<us
     if deflated.len() < bytes.len() { deflated } else { bytes }
 }
 
-/// The bytes of even places, then the others: each as its difference to the one before it, up to 128.
+/// The bytes of even places, then the others: after the first, each as its difference to the one before it plus 128.
 fn predicted(bytes: &[u8]) -> Vec<u8> {
     let mut predicted = vec![0; bytes.len()];
     let (even, odd) = predicted.split_at_mut(bytes.len().div_ceil(2));
