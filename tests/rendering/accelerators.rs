@@ -1,4 +1,7 @@
 //! Every registered structure answers as the oracle does.
+
+mod bad_rays;
+
 use crate::support::accel::{
     Random, add_instance, add_mesh, build, closed_box, intersect, occluded, rays, scene_of, soup, specs,
 };

@@ -4,7 +4,6 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod accelerators;
-mod bad_rays;
 mod closed_forms;
 mod looks;
 mod replicates;
