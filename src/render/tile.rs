@@ -167,7 +167,7 @@ impl Render<'_> {
             // The first one holds what its rays have brought once for each.
             let known = light(expected) + (s.lights[0] - light(expected)) / views as f32;
             s.lights[0] = light(expected);
-            seen.notice(pixel, &s.lights, known);
+            seen.notice(pixel, &s.lights, (known, s.hits[first].is_hit()));
             first += views as usize;
         }
     }

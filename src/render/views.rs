@@ -3,8 +3,9 @@
 //! A sample errs by where in the pixel it looks (what is expected, C, differs from place to place) and by what its shadow
 //! rays bring beside that (I − C). Further camera rays cost little and see C alone. With W the variance of C between the
 //! camera rays of a pixel, R the mean of (I − C)² and a sample's shadow rays at the price of a camera rays, n of these leave
-//! an error of R + W/n for a price of a + n: the product is least at n² = a W/R. Both are measured by the learning stages in
-//! between (`schedule`), before the samples that go by them are taken: how many camera rays these have depends on nothing
+//! an error of R + W/n for a price of a + n: the product is least at n² = a W/R. Samples that miss everything trace no shadow
+//! rays: where all do, further camera rays would cost as much as they bring. All is measured by the learning stages in
+//! between (`schedule`), before the samples that go by it are taken: how many camera rays these have depends on nothing
 //! that they see, and whatever their number, each sample weighs the same in its pixel.
 //!
 //! Sums are integers, so that they are the same in whatever order tiles and threads add to them.
@@ -30,10 +31,10 @@ const ONE: f32 = 65536.0;
 #[derive(Debug)]
 pub(super) struct Views {
     columns: u32,
-    /// By region; relative to the light, sample by sample: Σ W, Σ R.
-    sums: Vec<[AtomicU64; 2]>,
+    /// By region: Σ W and Σ R, relative to the light, sample by sample; samples, and those that traced shadow rays.
+    sums: Vec<[AtomicU64; 4]>,
     /// The same as it was when the last pass ended.
-    settled: Vec<[u64; 2]>,
+    settled: Vec<[u64; 4]>,
 }
 
 impl Views {
@@ -41,26 +42,28 @@ impl Views {
     pub(super) fn new([width, height]: [u32; 2]) -> Self {
         let [columns, rows] = [width, height].map(|side| side.div_ceil(REGION).max(1));
         let count = columns as usize * rows as usize;
-        Self { columns, sums: (0..count).map(|_| Default::default()).collect(), settled: vec![[0; 2]; count] }
+        Self { columns, sums: (0..count).map(|_| Default::default()).collect(), settled: vec![[0; 4]; count] }
     }
 
     fn region(&self, [x, y]: [u32; 2]) -> usize {
         (y / REGION) as usize * self.columns as usize + (x / REGION) as usize
     }
 
-    /// Takes in a sample: what its camera rays expect, and what the first of them turned out to be; luminances.
-    pub(super) fn notice(&self, pixel: [u32; 2], expected: &[f32], known: f32) {
+    /// Takes in a sample: what its camera rays expect, and what the first of them turned out to be, luminances; and whether
+    /// that one traced shadow rays.
+    pub(super) fn notice(&self, pixel: [u32; 2], expected: &[f32], (known, traced): (f32, bool)) {
         let count = expected.len() as f32;
         let mean = expected.iter().sum::<f32>() / count;
         let light = expected.iter().map(|c| c * c).sum::<f32>() / count + known * known;
-        if count < 2.0 {
+        // What is no number, or no light, is not taken in.
+        if count < 2.0 || !(light > 0.0 && light.is_finite()) {
             return;
         }
         let between = expected.iter().map(|c| (c - mean) * (c - mean)).sum::<f32>() / (count - 1.0);
         let beside = (known - expected[0]) * (known - expected[0]);
-        for (sum, square) in self.sums[self.region(pixel)].iter().zip([between, beside]) {
-            // What is no number, as without light, counts nothing.
-            sum.fetch_add((square / light * ONE) as u64, Relaxed);
+        let [between, beside] = [between, beside].map(|square| (square / light * ONE) as u64);
+        for (sum, more) in self.sums[self.region(pixel)].iter().zip([between, beside, 1, u64::from(traced)]) {
+            sum.fetch_add(more, Relaxed);
         }
     }
 
@@ -74,9 +77,10 @@ impl Views {
     /// Camera rays for each camera sample of a pixel with so many shadow rays: a power of two, so that they share out the
     /// pixel evenly.
     pub(super) fn of(&self, pixel: [u32; 2], rays: u32) -> u32 {
-        let [between, beside] = self.settled[self.region(pixel)].map(|sum| sum as f64);
+        let [between, beside, samples, traced] = self.settled[self.region(pixel)].map(|sum| sum as f64);
         let square = |n: u32| f64::from(n) * f64::from(n);
-        let most = (POINT + RAY * f64::from(rays)) * between;
+        let price = (POINT + RAY * f64::from(rays)) * traced / samples.max(1.0);
+        let most = price * between;
         let mut views = 1;
         // Twice as many are nearer to the best number from half a step on.
         while views < MOST && most > 2.0 * square(views) * beside {
@@ -104,12 +108,14 @@ impl Views {
 mod tests {
     use super::*;
 
-    /// Views of two regions; what the left one's samples expect to be 1 ± `between`, turns out `beside` more.
-    fn seen(between: f32, beside: f32) -> Views {
+    /// Views of two regions; what the left one's samples expect to be 1 ± `between`, turns out `beside` more. One in `traced`
+    /// has shadow rays.
+    fn seen(between: f32, beside: f32, traced: u32) -> Views {
         let mut views = Views::new([2 * REGION, REGION]);
         for i in 0..100 {
             let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
-            views.notice([i % REGION, 0], &[1.0 + between, 1.0 - between], 1.0 + between + sign * beside);
+            let known = 1.0 + between + sign * beside;
+            views.notice([i % REGION, 0], &[1.0 + between, 1.0 - between], (known, i % traced == 0));
         }
         views.settle();
         views
@@ -118,28 +124,39 @@ mod tests {
     #[test]
     fn a_region_has_as_many_as_it_asks_for() {
         let of = |views: &Views, rays| [views.of([REGION - 1, 3], rays), views.of([REGION, 3], rays)];
-        assert_eq!(of(&seen(0.0, 0.1), 16), [1, 1], "nothing differs from place to place");
-        assert_eq!(of(&seen(0.1, 0.0), 16), [MOST, 1], "nothing else errs");
+        assert_eq!(of(&seen(0.0, 0.1, 1), 16), [1, 1], "nothing differs from place to place");
+        assert_eq!(of(&seen(0.1, 0.0, 1), 16), [MOST, 1], "nothing else errs");
         // W = 2·0.1², R = 0.1²: n² = 2 (4 + 2·16) = 72, and 8 is the nearest power of two.
-        assert_eq!(of(&seen(0.1, 0.1), 16), [8, 1]);
+        assert_eq!(of(&seen(0.1, 0.1, 1), 16), [8, 1]);
+        // A quarter of them trace shadow rays: n² = 18, and 4 is the nearest.
+        assert_eq!(of(&seen(0.1, 0.1, 4), 16), [4, 1]);
         // n² = 2 (4 + 2·4)/25 < 1.
-        assert_eq!(of(&seen(0.02, 0.1), 4), [1, 1]);
+        assert_eq!(of(&seen(0.02, 0.1, 1), 4), [1, 1]);
+    }
+
+    /// A background, however much it differs from place to place: no shadow ray is saved.
+    #[test]
+    fn where_no_shadow_ray_is_traced_there_is_one() {
+        let mut views = Views::new([REGION, REGION]);
+        views.notice([0, 0], &[1.0, 0.5], (1.0, false));
+        views.settle();
+        assert_eq!(views.of([0, 0], 16), 1);
     }
 
     #[test]
     fn what_is_no_light_or_no_number_is_not_taken_in() {
-        let mut views = seen(0.1, 0.1);
+        let mut views = seen(0.1, 0.1, 1);
         for expected in [[0.0, 0.0], [f32::NAN, 1.0], [f32::INFINITY, 1.0]] {
-            views.notice([0, 0], &expected, 0.0);
+            views.notice([0, 0], &expected, (0.0, true));
         }
         views.settle();
-        assert_eq!(views.settled, seen(0.1, 0.1).settled);
+        assert_eq!(views.settled, seen(0.1, 0.1, 1).settled);
     }
 
     #[test]
     fn nobody_goes_by_what_a_pass_sees_before_its_end() {
-        let views = seen(0.0, 0.1);
-        views.notice([REGION, 0], &[1.0, 0.0], 1.0);
+        let views = seen(0.0, 0.1, 1);
+        views.notice([REGION, 0], &[1.0, 0.0], (1.0, true));
         assert_eq!(views.of([REGION, 0], 16), 1);
     }
 }
