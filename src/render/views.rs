@@ -55,12 +55,12 @@ impl Views {
         let count = expected.len() as f32;
         let mean = expected.iter().sum::<f32>() / count;
         let light = expected.iter().map(|c| c * c).sum::<f32>() / count + known * known;
-        // What is no number, or no light, is not taken in.
-        if count < 2.0 || !(light > 0.0 && light.is_finite()) {
+        if count < 2.0 || !light.is_finite() {
             return;
         }
         let between = expected.iter().map(|c| (c - mean) * (c - mean)).sum::<f32>() / (count - 1.0);
         let beside = (known - expected[0]) * (known - expected[0]);
+        // Without light there is no number, which counts nothing; the sample has its price.
         let [between, beside] = [between, beside].map(|square| (square / light * ONE) as u64);
         for (sum, more) in self.sums[self.region(pixel)].iter().zip([between, beside, 1, u64::from(traced)]) {
             sum.fetch_add(more, Relaxed);
@@ -144,13 +144,18 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_light_or_no_number_is_not_taken_in() {
+    fn what_is_no_number_is_not_taken_in_and_no_light_has_but_its_price() {
         let mut views = seen(0.1, 0.1, 1);
-        for expected in [[0.0, 0.0], [f32::NAN, 1.0], [f32::INFINITY, 1.0]] {
+        for expected in [[f32::NAN, 1.0], [f32::INFINITY, 1.0]] {
             views.notice([0, 0], &expected, (0.0, true));
         }
         views.settle();
-        assert_eq!(views.settled, seen(0.1, 0.1, 1).settled);
+        let [between, beside, samples, traced] = seen(0.1, 0.1, 1).settled[0];
+        assert_eq!(views.settled[0], [between, beside, samples, traced]);
+        // A black background.
+        views.notice([0, 0], &[0.0, 0.0], (0.0, false));
+        views.settle();
+        assert_eq!(views.settled[0], [between, beside, samples + 1, traced]);
     }
 
     #[test]
