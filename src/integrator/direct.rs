@@ -3,12 +3,14 @@
 //! The diffuse term is estimated by the dome sampler alone, with its control variate. A specular lobe adds directions
 //! drawn from the lobe; the specular term takes these and the dome's by the balance heuristic (the diffuse term takes the
 //! dome's unweighted: a weighted control variate would have the wrong mean). A sampler that knows where a lobe looks
-//! draws the dome's for the specular term apart from the diffuse one's, but under wide lobes of dielectrics. Below a
-//! roughness of 0.05 the lobe is left to its own directions. A Lambertian point draws from the dome and knows nothing of
-//! MIS.
+//! draws the dome's for the specular term apart from the diffuse one's, but under wide lobes of dielectrics. A Lambertian
+//! point draws from the dome and knows nothing of MIS.
+//!
+//! Below a roughness of 0.05 the lobe is left to its own directions. What a curved mirror shows differs most from place to
+//! place in the pixel: these directions are dealt out to all camera rays of a sample ([`Integrator::mirrored`]).
 
 use super::lambert::Lambert;
-use super::{Integrator, MakeIntegrator, Queue, Shading, World};
+use super::{Among, Integrator, MakeIntegrator, Queue, Shading, World};
 use crate::accel::Ray;
 use crate::bsdf::ggx::{self, Frame};
 use crate::bsdf::{Bsdf, Specular};
@@ -60,11 +62,41 @@ impl Integrator for Direct {
             bsdf,
             shares: Shares::new(&bsdf, point.rays, world.sampler),
             lobe: Lobe::new(&bsdf, surface.ns, point.wo, world.sampler.needs_partner()),
+            weight: 1.0,
         };
         let light = shade.dome(draws, queue);
-        shade.gloss(draws, queue);
-        shade.lobe(draws, queue);
+        if !self.mirrors(surface, world.sampler) {
+            shade.gloss(draws, queue);
+            shade.lobe(draws, queue);
+        }
         surface.emission + light
+    }
+
+    fn mirrors(&self, surface: &Surface, sampler: &dyn DomeSampler) -> bool {
+        surface.roughness * surface.roughness < NARROW && !surface.unlit && !sampler.needs_partner()
+    }
+
+    fn mirrored(&self, world: &World<'_>, point: &Shading<'_>, among: Among, draws: &mut Draws, queue: &mut Queue) {
+        let surface = point.surface;
+        let bsdf = Bsdf::new(surface, point.wo);
+        let rays = Shares::new(&bsdf, point.rays, world.sampler).lobe;
+        // Every so many camera rays have some, so that there are no more than were asked for.
+        let Among { view, views, each } = among;
+        let step = if each { 1 } else { views.div_ceil(rays.max(1)) };
+        if !view.is_multiple_of(step) {
+            return;
+        }
+        let parts = views.div_ceil(step);
+        let Numbers { seed, sample } = point.numbers;
+        let shade = Shade {
+            world,
+            point: &Shading { numbers: Numbers { seed, sample: sample * parts + view / step }, ..*point },
+            bsdf,
+            shares: Shares { dome: 0, gloss: 0, lobe: rays.div_ceil(parts) },
+            lobe: Lobe::new(&bsdf, surface.ns, point.wo, false),
+            weight: views as f32 / parts as f32,
+        };
+        shade.lobe(draws, queue);
     }
 
     fn expects(&self, sampler: &dyn DomeSampler) -> bool {
@@ -77,8 +109,12 @@ impl Integrator for Direct {
             return surface.base_color;
         }
         let bsdf = Bsdf::new(surface, point.wo);
-        // A lobe shows about what the normal's side shines with.
-        let reflects = bsdf.diffuse + bsdf.specular.map_or(Vec3::ZERO, |s| s.f0);
+        // A lobe shows about what the normal's side shines with, where it is not traced.
+        let traced = self.mirrors(surface, world.sampler);
+        let reflects = bsdf.diffuse + bsdf.specular.filter(|_| !traced).map_or(Vec3::ZERO, |s| s.f0);
+        if reflects == Vec3::ZERO {
+            return surface.emission;
+        }
         surface.emission + reflects * FRAC_1_PI * world.sampler.expected(&sampled(point, bsdf), draws)
     }
 }
@@ -169,6 +205,8 @@ struct Shade<'a> {
     bsdf: Bsdf,
     shares: Shares,
     lobe: Lobe,
+    /// What its lobe's directions count.
+    weight: f32,
 }
 
 impl Shade<'_> {
@@ -288,7 +326,7 @@ impl Shade<'_> {
             if partner {
                 f += self.bsdf.diffuse * FRAC_1_PI;
             }
-            let contribution = radiance * f * (local.z / both);
+            let contribution = radiance * f * (self.weight * local.z / both);
             if contribution != Vec3::ZERO {
                 let origin = offset_origin(surface.position, surface.error, surface.ng, dir);
                 queue.push(Ray::new(origin, dir), contribution);

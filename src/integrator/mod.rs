@@ -48,6 +48,17 @@ pub struct Shading<'a> {
     pub rays: u32,
 }
 
+/// A camera ray among those of its sample.
+#[derive(Debug, Clone, Copy)]
+pub struct Among {
+    /// Which it is; the first is shaded.
+    pub view: u32,
+    /// How many there are.
+    pub views: u32,
+    /// Whether each has rays of its own, even where there are fewer to be dealt out.
+    pub each: bool,
+}
+
 /// Shadow rays waiting to be traced.
 #[derive(Debug, Default)]
 pub struct Queue {
@@ -139,6 +150,15 @@ pub trait Integrator: Debug + Send + Sync {
     fn expected(&self, _world: &World<'_>, _point: &Shading<'_>, _draws: &mut Draws) -> Vec3 {
         Vec3::ZERO
     }
+
+    /// Whether [`Self::shade`] leaves a surface's reflections to [`Self::mirrored`].
+    fn mirrors(&self, _surface: &Surface, _sampler: &dyn DomeSampler) -> bool {
+        false
+    }
+
+    /// Queues shadow rays for what a surface reflects that [`Self::mirrors`]: those that fall to one of a sample's camera
+    /// rays, all of which together show it. `draws` is scratch.
+    fn mirrored(&self, _: &World<'_>, _: &Shading<'_>, _: Among, _draws: &mut Draws, _: &mut Queue) {}
 
     /// Whether rays that miss the scene show the dome.
     fn shows_dome(&self) -> bool {

@@ -1,7 +1,7 @@
 //! A queue of shadow rays is traced: what arrives, and what the sampler learns from it.
 
 use super::Counts;
-use super::tile::Scratch;
+use super::tile::{CameraSample, MIRRORED, Scratch};
 use crate::dome::Dome;
 use crate::integrator::{World, visibility};
 use crate::simd::{Kernel, dispatch};
@@ -15,8 +15,8 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
     // Layers first: what is hidden is forgotten below.
     let mut first = 0;
     for &(sample, rays) in &queue.samples {
-        let Some(aovs) = &mut s.samples[sample as usize].aovs else { break };
-        let views = s.cameras[sample as usize].views as f32;
+        let (sample, views) = of(sample, &s.mirrored, &s.cameras);
+        let Some(aovs) = &mut s.samples[sample].aovs else { break };
         for i in first..first + rays as usize {
             let light = views * Dome::weight(queue.contributions.get(i).to_array());
             aovs.light[1] += light;
@@ -31,13 +31,27 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
     for &(sample, rays) in &queue.samples {
         let of_sample = first..first + rays as usize;
         let arrived = [r, g, b].map(|row| row[of_sample.clone()].iter().sum::<f32>());
-        let views = s.cameras[sample as usize].views as f32;
-        s.samples[sample as usize].radiance += views * Vec3::from(arrived);
+        let arrived = Vec3::from(arrived);
+        if sample & MIRRORED != 0 {
+            s.mirrored[(sample & !MIRRORED) as usize].1 += arrived;
+        } else {
+            let sample = sample as usize;
+            s.samples[sample].radiance += s.cameras[sample].stands_for() * arrived;
+        }
         first = of_sample.end;
     }
     queue.in_order(&mut s.occluded);
     world.sampler.observe(&queue.targets, &s.occluded);
     queue.clear();
+}
+
+/// The camera ray that a queue's sample is, and how many its shadow rays stand for.
+fn of(sample: u32, mirrored: &[(u32, Vec3)], cameras: &[CameraSample]) -> (usize, f32) {
+    if sample & MIRRORED != 0 {
+        (mirrored[(sample & !MIRRORED) as usize].0 as usize, 1.0)
+    } else {
+        (sample as usize, cameras[sample as usize].stands_for())
+    }
 }
 
 /// Contributions treated together.

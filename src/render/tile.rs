@@ -12,7 +12,7 @@ use crate::accel::{Hit, Ray};
 use crate::dome::Dome;
 use crate::film::{AovSample, Part, Sample};
 use crate::integrator::visibility::{self, nearest};
-use crate::integrator::{Queue, Shading, World};
+use crate::integrator::{Among, Queue, Shading, World};
 use crate::random;
 use crate::sampler::{DomeSampler, Draws, Numbers};
 use crate::scene::Surface;
@@ -69,7 +69,7 @@ impl Render<'_> {
                 let at = pass.before + sample;
                 for view in 0..views {
                     let place = if view == 0 { at } else { each + at * (views - 1) + view - 1 };
-                    s.cameras.push(CameraSample { pixel, place, places, numbers, views, shaded: view == 0 });
+                    s.cameras.push(CameraSample { pixel, place, places, numbers, view, views });
                 }
                 if s.cameras.len() >= CHUNK {
                     self.chunk(world, (pass, seen), s, film, &mut counts);
@@ -92,6 +92,8 @@ impl Render<'_> {
         s.rays.clear();
         s.samples.clear();
         s.expected.clear();
+        s.mirrored.clear();
+        let gloss = self.scene.needs.gloss;
         dispatch(Places { cameras: &s.cameras, places: &mut s.places });
         for (&CameraSample { pixel: [x, y], .. }, &[u, v]) in s.cameras.iter().zip(&s.places) {
             let filter = self.settings.filter;
@@ -101,7 +103,9 @@ impl Render<'_> {
         nearest(self.scene, self.accel, &s.rays, &mut s.hits, &mut s.visibility);
         let mut waiting = None;
         for i in 0..s.rays.len() {
-            let CameraSample { pixel, numbers, views, shaded, .. } = s.cameras[i];
+            let camera = s.cameras[i];
+            let CameraSample { pixel, numbers, views, .. } = camera;
+            let shaded = camera.is_shaded();
             let (ray, hit) = (&s.rays[i], &s.hits[i]);
             if !hit.is_hit() {
                 let sample = self.miss(ray);
@@ -111,9 +115,14 @@ impl Render<'_> {
                 s.samples.push(sample);
                 continue;
             }
-            let hit = &if shaded { self.scene.refined(ray, hit) } else { *hit };
+            let refined = || self.scene.refined(ray, hit);
+            let hit = &if shaded { refined() } else { *hit };
             let placed = shaded || self.settings.aovs;
-            let surface = if placed { self.scene.surface(ray, hit) } else { self.scene.look(ray, hit) };
+            let mut surface = if placed { self.scene.surface(ray, hit) } else { self.scene.look(ray, hit) };
+            let mirrors = gloss && self.integrator.mirrors(&surface, world.sampler);
+            if mirrors && !shaded {
+                (surface.position, surface.error) = self.scene.place(&refined());
+            }
             let rays = self.settings.rays;
             let point = Shading { pixel, distance: hit.t, wo: -ray.dir, surface: &surface, numbers, rays };
             let mut radiance = Vec3::ZERO;
@@ -131,18 +140,24 @@ impl Render<'_> {
             if shaded {
                 s.expected.push(radiance);
                 self.integrator.begin(world, &point, &mut s.draws);
-                let next = Waiting { sample: i, distance: hit.t, surface };
+                let next = Waiting { sample: i, distance: hit.t, surface, mirrors };
                 if let Some(before) = waiting.replace(next) {
-                    self.shade(world, &before, s, counts);
+                    self.shade(world, pass, &before, s, counts);
                 }
+            } else if mirrors {
+                s.queue.sample = i as u32;
+                self.integrator.mirrored(world, &point, camera.among(pass), &mut s.draws, &mut s.queue);
             }
         }
         if let Some(last) = waiting {
-            self.shade(world, &last, s, counts);
+            self.shade(world, pass, &last, s, counts);
         }
         flush(world, s, counts);
         if pass.looks.about {
             self.notice(seen, s);
+        }
+        for &(sample, mirrored) in &s.mirrored {
+            s.samples[sample as usize].radiance += mirrored;
         }
         for (&CameraSample { pixel, numbers, views, .. }, value) in s.cameras.iter().zip(&s.samples) {
             if value.radiance.is_finite() {
@@ -159,23 +174,26 @@ impl Render<'_> {
     fn notice(&self, seen: &Views, s: &mut Scratch) {
         let light = |radiance: Vec3| Dome::weight(radiance.to_array());
         let mut first = 0;
+        let mut mirrors = s.mirrored.iter().peekable();
         for &expected in &s.expected {
             let CameraSample { pixel, views, .. } = s.cameras[first];
             let of_sample = &s.samples[first..first + views as usize];
             s.lights.clear();
             s.lights.extend(of_sample.iter().map(|sample| light(sample.radiance)));
             // The first one holds what its rays have brought once for each.
-            let known = light(expected) + (s.lights[0] - light(expected)) / views as f32;
-            s.lights[0] = light(expected);
+            let shown = mirrors.next_if(|mirrored| mirrored.0 as usize == first).map_or(expected, |m| expected + m.1);
+            let known = light(shown) + (s.lights[0] - light(expected)) / views as f32;
+            s.lights[0] = light(shown);
             seen.notice(pixel, &s.lights, (known, s.hits[first].is_hit()));
             first += views as usize;
         }
     }
 
     /// Shades a sample: what it is expected to be makes way for what is known, and for what its rays will bring.
-    fn shade(&self, world: &World<'_>, waiting: &Waiting, s: &mut Scratch, counts: &mut Counts) {
-        let &Waiting { sample, distance, ref surface } = waiting;
-        let CameraSample { pixel, numbers, views, .. } = s.cameras[sample];
+    fn shade(&self, world: &World<'_>, pass: &Pass, waiting: &Waiting, s: &mut Scratch, counts: &mut Counts) {
+        let &Waiting { sample, distance, ref surface, mirrors } = waiting;
+        let camera = s.cameras[sample];
+        let CameraSample { pixel, numbers, views, .. } = camera;
         let views = views as f32;
         let rays = self.settings.rays;
         let point = Shading { pixel, distance, wo: -s.rays[sample].dir, surface, numbers, rays };
@@ -183,6 +201,11 @@ impl Render<'_> {
         let known = self.integrator.shade(world, &point, &mut s.draws, &mut s.queue);
         let radiance = &mut s.samples[sample].radiance;
         *radiance = views * known - (views - 1.0) * *radiance;
+        if mirrors {
+            s.queue.sample = MIRRORED | s.mirrored.len() as u32;
+            s.mirrored.push((sample as u32, Vec3::ZERO));
+            self.integrator.mirrored(world, &point, camera.among(pass), &mut s.draws, &mut s.queue);
+        }
         counts.rays_asked += u64::from(rays);
         if s.queue.rays.len() >= BATCH {
             flush(world, s, counts);
@@ -199,6 +222,9 @@ impl Render<'_> {
     }
 }
 
+/// Set in a queue's sample where its rays are for what it mirrors: an index of `mirrored`.
+pub(super) const MIRRORED: u32 = 1 << 31;
+
 /// A camera ray to be traced.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CameraSample {
@@ -208,10 +234,25 @@ pub(super) struct CameraSample {
     places: u32,
     /// For its shadow rays.
     numbers: Numbers,
+    /// Which of its sample's it is; the first is shaded.
+    view: u32,
     /// How many there are of its sample.
-    pub(super) views: u32,
-    /// Whether it traces shadow rays.
-    shaded: bool,
+    views: u32,
+}
+
+impl CameraSample {
+    fn is_shaded(&self) -> bool {
+        self.view == 0
+    }
+
+    fn among(&self, pass: &Pass) -> Among {
+        Among { view: self.view, views: self.views, each: pass.looks.about }
+    }
+
+    /// What its shadow rays stand for: all camera rays of the sample, or itself.
+    pub(super) fn stands_for(&self) -> f32 {
+        if self.is_shaded() { self.views as f32 } else { 1.0 }
+    }
 }
 
 /// Camera samples treated together.
@@ -249,6 +290,7 @@ struct Waiting {
     /// From the camera, metres.
     distance: f32,
     surface: Surface,
+    mirrors: bool,
 }
 
 /// A thread's memory, used again from tile to tile.
@@ -263,6 +305,8 @@ pub(super) struct Scratch {
     pub(super) samples: Vec<Sample>,
     /// What the shaded ones were expected to be.
     expected: Vec<Vec3>,
+    /// Which of these mirror something, and what.
+    pub(super) mirrored: Vec<(u32, Vec3)>,
     lights: Vec<f32>,
     pub(super) occluded: Vec<u8>,
     draws: Draws,

@@ -157,8 +157,13 @@ impl Scene {
 
     /// What `ray` met at `hit`, ready to be shaded. The direction need not be of unit length.
     pub fn surface(&self, ray: &Ray, hit: &Hit) -> Surface {
-        let (position, error) = self.hit_triangle(hit).position();
+        let (position, error) = self.place(hit);
         Surface { position, error, ..self.look(ray, hit) }
+    }
+
+    /// Where a hit is, and by how much that may err in each coordinate.
+    pub fn place(&self, hit: &Hit) -> (Vec3, f32) {
+        self.hit_triangle(hit).position()
     }
 
     /// The same but for its place: enough for what traces no ray from there.

@@ -167,6 +167,22 @@ fn camera_rays_by_what_was_seen() {
     assert_same("as many as pay", &pictures, &BRUTE_FORCE);
 }
 
+/// A polished floor and a mirror show the same, whichever camera rays their reflections are dealt out to: seven share two
+/// rays of the floor's and eight of the mirror's.
+#[test]
+fn mirrors_by_all_camera_rays() {
+    let mut parts = occluders();
+    parts[0].1 = Material { metallic: 0.0, roughness: 0.0, ..Material::default() };
+    parts[1].1 = Material { metallic: 1.0, roughness: 0.04, ..Material::default() };
+    let (stage, dome) = (Stage::new(parts), soft());
+    let reference = take(&stage.shot(&dome, 16, 32), 1000, || sampler("latlong", &dome, 32), |_, _| ());
+    for camera_rays in [Some(7), None] {
+        let shot = Shot { camera_rays, ..stage.shot(&dome, 4, 8) };
+        let pictures = take(&shot, 0, || sampler(CACHE, &dome, 8), |_, _| ());
+        assert_same(&format!("{camera_rays:?} camera rays"), &pictures, &reference);
+    }
+}
+
 #[test]
 fn a_warm_cache() {
     // Not twelve: with these seeds one open pixel of 1024 then stands out (z = −5.4), the whole picture does not. Long
