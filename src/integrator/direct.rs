@@ -109,9 +109,8 @@ impl Integrator for Direct {
             return surface.base_color;
         }
         let bsdf = Bsdf::new(surface, point.wo);
-        // A lobe shows about what the normal's side shines with, where it is not traced.
-        let traced = self.mirrors(surface, world.sampler);
-        let reflects = bsdf.diffuse + bsdf.specular.filter(|_| !traced).map_or(Vec3::ZERO, |s| s.f0);
+        // A wide lobe shows about what the normal's side shines with; of what a narrower one shows that says nothing.
+        let reflects = bsdf.diffuse + bsdf.specular.filter(|s| s.alpha >= WIDE).map_or(Vec3::ZERO, |s| s.f0);
         if reflects == Vec3::ZERO {
             return surface.emission;
         }
