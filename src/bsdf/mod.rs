@@ -65,6 +65,11 @@ impl Bsdf {
 }
 
 impl Specular {
+    /// What the lobe reflects of a white sky towards a viewer at this cosine, but for what f90 adds.
+    pub fn body(&self, cosine: f32) -> Vec3 {
+        self.f0 * albedo::shares(cosine, self.alpha)[0]
+    }
+
     /// Fresnel reflectance at a half vector.
     #[inline]
     pub fn fresnel(&self, cosine: f32) -> Vec3 {
@@ -90,6 +95,19 @@ mod tests {
         let visibility = 0.5 / (root(l[2], v[2]) + root(v[2], l[2]));
         let fresnel = (1.0 - dot(v, h).abs()).powi(5);
         [0.04, base].map(|f0| visibility * d * (f0 + (1.0 - f0) * fresnel))
+    }
+
+    #[test]
+    fn the_body_is_what_a_lobe_without_a_rim_reflects() {
+        for (alpha, cosine) in [(0.3, 0.95f32), (0.3, 0.2), (1.0, 0.6)] {
+            let lobe = Specular { alpha, f0: Vec3::new(0.9, 0.5, 0.1), f90: 0.0 };
+            let wo = Vec3::new((1.0 - cosine * cosine).sqrt(), 0.0, cosine);
+            let n = 1 << 14;
+            let weight = |i| ggx::sample(&lobe, wo, random::sobol2(i, 3).map(random::unit)).map_or(Vec3::ZERO, |w| w.2);
+            let reflected = (0..n).map(weight).sum::<Vec3>() / n as f32;
+            let off = (lobe.body(cosine) - reflected).abs().max_element();
+            assert!(off < 5e-3, "α {alpha}, cosine {cosine}: {} {reflected}", lobe.body(cosine));
+        }
     }
 
     /// What comes back from a white sky, by quadrature over the specification's formula and by our own directions.

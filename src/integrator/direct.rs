@@ -109,8 +109,10 @@ impl Integrator for Direct {
             return surface.base_color;
         }
         let bsdf = Bsdf::new(surface, point.wo);
-        // A wide lobe shows about what the normal's side shines with; of what a narrower one shows that says nothing.
-        let reflects = bsdf.diffuse + bsdf.specular.filter(|s| s.alpha >= WIDE).map_or(Vec3::ZERO, |s| s.f0);
+        // A wide lobe shows about what the normal's side shines with; of a narrower one that says nothing, nor of what comes
+        // from the rim.
+        let wide = bsdf.specular.filter(|lobe| lobe.alpha >= WIDE);
+        let reflects = bsdf.diffuse + wide.map_or(Vec3::ZERO, |lobe| lobe.body(point.wo.dot(surface.ns)));
         if reflects == Vec3::ZERO {
             return surface.emission;
         }

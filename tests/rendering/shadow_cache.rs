@@ -1,6 +1,6 @@
 //! The shadow cache may cost variance, never bias, whatever it holds: renders with a cold, a warm, a stale, an all-zero,
 //! an all-one and a random cache against brute force, pixel by pixel. And an image does not depend on threads or tiles.
-use crate::support::render::{BESIDE, Shot, cuboid, pixels, scene, square, white};
+use crate::support::render::{BESIDE, Shot, cuboid, pixels, scene, sheet, square, white};
 use crate::support::samplers::{dome, sampler, unit};
 use domelight::accel::{self, Accel, Coherence, Hit, Mask};
 use domelight::bsdf::Bsdf;
@@ -12,6 +12,7 @@ use domelight::sampler::{DomeSampler, Draws, Numbers, Point, SAMPLERS, Setup};
 use domelight::scene::{Camera, CameraChoice, Material, Mesh, Scene};
 use glam::{DVec3, Vec3, Vec4};
 use rayon::prelude::*;
+use std::f64::consts::{PI, TAU};
 use std::sync::{Arc, LazyLock};
 
 const SIDE: u32 = 32;
@@ -181,6 +182,23 @@ fn mirrors_by_all_camera_rays() {
         let pictures = take(&shot, 0, || sampler(CACHE, &dome, 8), |_, _| ());
         assert_same(&format!("{camera_rays:?} camera rays"), &pictures, &reference);
     }
+}
+
+/// Where in the pixel it looks is all that a camera ray to a curved mirror errs by.
+#[test]
+fn a_curved_mirror_is_seen_by_all_camera_rays() {
+    let ball = sheet(64, 32, |u, v| {
+        let ((sin, cos), (ring, up)) = ((TAU * u).sin_cos(), (PI * v).sin_cos());
+        Vec3::new(0.2, 0.3, 0.0) + 0.8 * DVec3::new(ring * cos, up, ring * sin).as_vec3()
+    });
+    let mirror = Material { metallic: 1.0, roughness: 0.0, ..Material::default() };
+    let (stage, dome) = (Stage::new(vec![(ball, mirror)]), sun());
+    let [one, eight] = [1, 8].map(|views| {
+        let shot = Shot { camera_rays: Some(views), ..stage.shot(&dome, 4, 8) };
+        let pictures = take(&shot, 0, || sampler(CACHE, &dome, 8), |_, _| ());
+        pictures.variance.iter().map(|v| f64::from(v.element_sum())).sum::<f64>()
+    });
+    assert!(eight < 0.25 * one, "variances {one} and {eight}");
 }
 
 #[test]
