@@ -2,7 +2,8 @@
 //!
 //! Camera samples that trace shadow rays have others beside them that don't: those show what the sampler expects there,
 //! C, and the shaded ones how it is wrong, I − C. The mean of C over all and of I − C over the shaded is unbiased whatever C
-//! is, and edges, textures and bumps inside a pixel are seen by cheap rays ([`Integrator::expected`]).
+//! is, and edges, textures and bumps inside a pixel are seen by cheap rays ([`Integrator::expected`]). What mirrors show is
+//! traced by all of them, each its share of the rays ([`Integrator::mirrored`]).
 
 use super::flush::flush;
 use super::schedule::{self, Looks, Pass};

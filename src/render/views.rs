@@ -1,12 +1,13 @@
 //! How many camera rays a camera sample is worth: what each region of the image asks for.
 //!
 //! A sample errs by where in the pixel it looks (what is expected, C, differs from place to place, and so does what a mirror
-//! shows, which counts towards C) and by what its shadow rays bring beside that (I − C). Further camera rays cost little and see C alone. With W the variance of C between the
-//! camera rays of a pixel, R the mean of (I − C)² and a sample's shadow rays at the price of a camera rays, n of these leave
-//! an error of R + W/n for a price of a + n: the product is least at n² = a W/R. Samples that miss everything trace no shadow
-//! rays: where all do, further camera rays would cost as much as they bring. All is measured by the learning stages in
-//! between (`schedule`), before the samples that go by it are taken: how many camera rays these have depends on nothing
-//! that they see, and whatever their number, each sample weighs the same in its pixel.
+//! shows, which counts towards C) and by what its shadow rays bring beside that (I − C). Further camera rays cost little
+//! and see C alone. With W the variance of C between the camera rays of a pixel, R the mean of (I − C)² and a sample's
+//! shadow rays at the price of a camera rays, n of these leave an error of R + W/n for a price of a + n: the product is
+//! least at n² = a W/R. Samples that miss everything trace no shadow rays: where all do, further camera rays would cost as
+//! much as they bring. All is measured by the learning stages in between (`schedule`), before the samples that go by it are
+//! taken: how many camera rays these have depends on nothing that they see, and whatever their number, each sample weighs
+//! the same in its pixel.
 //!
 //! Sums are integers, so that they are the same in whatever order tiles and threads add to them.
 
