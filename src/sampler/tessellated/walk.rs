@@ -93,10 +93,14 @@ impl Tessellated {
             }
             *stage = Stage::Found;
         }
+        if n == 0 {
+            // All it wanted was its place in the cache.
+            return;
+        }
         *last = 1 - *last;
         let weights = self.weights(point.ns, n, record, memo);
         let (asked, purpose, aim) = (Asked::new(point, n), weights.purpose, weights.aim);
-        let stage = if n > 0 && weights.total > 0 { Stage::Chosen } else { Stage::Asked };
+        let stage = if weights.total > 0 { Stage::Chosen } else { Stage::Asked };
         if stage == Stage::Chosen {
             if asked.are_few() {
                 self.choose(weights, leaves, &asked, 0, &mut few.first[*last]);
