@@ -94,7 +94,7 @@ impl Integrator for Direct {
             bsdf,
             shares: Shares { dome: 0, gloss: 0, lobe: rays.div_ceil(parts) },
             lobe: Lobe::new(&bsdf, surface.ns, point.wo, false),
-            weight: views as f32 / parts as f32,
+            weight: 1.0 / parts as f32,
         };
         shade.lobe(draws, queue);
     }

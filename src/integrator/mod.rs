@@ -157,7 +157,7 @@ pub trait Integrator: Debug + Send + Sync {
     }
 
     /// Queues shadow rays for what a surface reflects that [`Self::mirrors`]: those that fall to one of a sample's camera
-    /// rays, all of which together show it. `draws` is scratch.
+    /// rays. What they bring adds up over all of these. `draws` is scratch.
     fn mirrored(&self, _: &World<'_>, _: &Shading<'_>, _: Among, _draws: &mut Draws, _: &mut Queue) {}
 
     /// Whether rays that miss the scene show the dome.

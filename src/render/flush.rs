@@ -1,7 +1,7 @@
 //! A queue of shadow rays is traced: what arrives, and what the sampler learns from it.
 
 use super::Counts;
-use super::tile::{CameraSample, MIRRORED, Scratch};
+use super::tile::{MIRRORED, Scratch};
 use crate::dome::Dome;
 use crate::integrator::{World, visibility};
 use crate::simd::{Kernel, dispatch};
@@ -15,8 +15,9 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
     // Layers first: what is hidden is forgotten below.
     let mut first = 0;
     for &(sample, rays) in &queue.samples {
-        let (sample, views) = of(sample, &s.mirrored, &s.cameras);
-        let Some(aovs) = &mut s.samples[sample].aovs else { break };
+        let camera = camera(sample, &s.mirrored);
+        let Some(aovs) = &mut s.samples[camera].aovs else { break };
+        let views = s.cameras[camera].views as f32;
         for i in first..first + rays as usize {
             let light = views * Dome::weight(queue.contributions.get(i).to_array());
             aovs.light[1] += light;
@@ -31,13 +32,12 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
     for &(sample, rays) in &queue.samples {
         let of_sample = first..first + rays as usize;
         let arrived = [r, g, b].map(|row| row[of_sample.clone()].iter().sum::<f32>());
-        let arrived = Vec3::from(arrived);
-        if sample & MIRRORED != 0 {
-            s.mirrored[(sample & !MIRRORED) as usize].1 += arrived;
-        } else {
-            let sample = sample as usize;
-            s.samples[sample].radiance += s.cameras[sample].stands_for() * arrived;
-        }
+        let camera = camera(sample, &s.mirrored);
+        let to = match sample & MIRRORED {
+            0 => &mut s.samples[camera].radiance,
+            _ => &mut s.mirrored[(sample & !MIRRORED) as usize].1,
+        };
+        *to += s.cameras[camera].views as f32 * Vec3::from(arrived);
         first = of_sample.end;
     }
     queue.in_order(&mut s.occluded);
@@ -45,12 +45,11 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
     queue.clear();
 }
 
-/// The camera ray that a queue's sample is, and how many its shadow rays stand for.
-fn of(sample: u32, mirrored: &[(u32, Vec3)], cameras: &[CameraSample]) -> (usize, f32) {
-    if sample & MIRRORED != 0 {
-        (mirrored[(sample & !MIRRORED) as usize].0 as usize, 1.0)
-    } else {
-        (sample as usize, cameras[sample as usize].stands_for())
+/// The camera ray that a queue's sample is.
+fn camera(sample: u32, mirrored: &[(u32, Vec3)]) -> usize {
+    match sample & MIRRORED {
+        0 => sample as usize,
+        _ => mirrored[(sample & !MIRRORED) as usize].0 as usize,
     }
 }
 

@@ -238,7 +238,7 @@ pub(super) struct CameraSample {
     /// Which of its sample's it is; the first is shaded.
     view: u32,
     /// How many there are of its sample.
-    views: u32,
+    pub(super) views: u32,
 }
 
 impl CameraSample {
@@ -248,11 +248,6 @@ impl CameraSample {
 
     fn among(&self, pass: &Pass) -> Among {
         Among { view: self.view, views: self.views, each: pass.looks.about }
-    }
-
-    /// What its shadow rays stand for: all camera rays of the sample, or itself.
-    pub(super) fn stands_for(&self) -> f32 {
-        if self.is_shaded() { self.views as f32 } else { 1.0 }
     }
 }
 
