@@ -155,15 +155,15 @@ impl Scene {
         Hit { t: distance as f32, u: u as f32, v: v.clamp(0.0, 1.0 - u) as f32, ..*hit }
     }
 
+    /// Where a hit is, and by how much that may err in each coordinate.
+    pub fn place(&self, hit: &Hit) -> (Vec3, f32) {
+        self.hit_triangle(hit).position()
+    }
+
     /// What `ray` met at `hit`, ready to be shaded. The direction need not be of unit length.
     pub fn surface(&self, ray: &Ray, hit: &Hit) -> Surface {
         let (position, error) = self.place(hit);
         Surface { position, error, ..self.look(ray, hit) }
-    }
-
-    /// Where a hit is, and by how much that may err in each coordinate.
-    pub fn place(&self, hit: &Hit) -> (Vec3, f32) {
-        self.hit_triangle(hit).position()
     }
 
     /// The same but for its place: enough for what traces no ray from there.
