@@ -39,8 +39,8 @@ pub(crate) struct Args {
     /// Shadow rays a camera sample
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = whole::<u32>(1..=1 << 16), allow_hyphen_values = true, help_heading = "Image")]
     rays: u32,
-    /// Camera rays for each camera sample: edges, textures and sharp reflections inside a pixel are seen by all of them (default: as many as
-    /// pay, from 1 to 16, region by region of the image; 1 where the sampler learns nothing)
+    /// Camera rays for each camera sample: edges, textures and sharp reflections inside a pixel are seen by all of them
+    /// (default: as many as pay, from 1 to 16, region by region of the image; 1 where the sampler learns nothing)
     #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=256), allow_hyphen_values = true, help_heading = "Image")]
     camera_rays: Option<u32>,
     /// Begin no pass after so many seconds of rendering
