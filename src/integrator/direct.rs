@@ -3,8 +3,9 @@
 //! The diffuse term is estimated by the dome sampler alone, with its control variate. A specular lobe adds directions
 //! drawn from the lobe; the specular term takes these and the dome's by the balance heuristic (the diffuse term takes the
 //! dome's unweighted: a weighted control variate would have the wrong mean). A sampler that knows where a lobe looks
-//! draws the dome's for the specular term apart from the diffuse one's, but under wide lobes of dielectrics. A Lambertian
-//! point draws from the dome and knows nothing of MIS.
+//! draws the dome's for the specular term apart from the diffuse one's, but under wide lobes that reflect less than the
+//! diffuse term. Rays go to the two terms by what each reflects. A Lambertian point draws from the dome and knows nothing
+//! of MIS.
 //!
 //! Below a roughness of 0.05 the lobe is left to its own directions. What a curved mirror shows differs most from place to
 //! place in the pixel: these directions are dealt out to all camera rays of a sample ([`Integrator::mirrored`]).
@@ -14,6 +15,7 @@ use super::{Among, Integrator, MakeIntegrator, Queue, Shading, World};
 use crate::accel::Ray;
 use crate::bsdf::ggx::{self, Frame};
 use crate::bsdf::{Bsdf, Specular};
+use crate::dome::Dome;
 use crate::integrator::ao::cosine_direction;
 use crate::random;
 use crate::registry::Plugin;
@@ -44,7 +46,7 @@ impl Integrator for Direct {
     fn begin(&self, world: &World<'_>, point: &Shading<'_>, draws: &mut Draws) {
         if !point.surface.unlit {
             let bsdf = Bsdf::new(point.surface, point.wo);
-            let shares = Shares::new(&bsdf, point.rays, world.sampler);
+            let shares = Shares::new(point, &bsdf, world.sampler);
             // Where all come from the lobe as well: a point takes its place in the cache in the order of pixels.
             world.sampler.begin(&sampled(point, bsdf), shares.dome, draws);
         }
@@ -60,7 +62,7 @@ impl Integrator for Direct {
             world,
             point,
             bsdf,
-            shares: Shares::new(&bsdf, point.rays, world.sampler),
+            shares: Shares::new(point, &bsdf, world.sampler),
             lobe: Lobe::new(&bsdf, surface.ns, point.wo, world.sampler.needs_partner()),
             weight: 1.0,
         };
@@ -79,7 +81,7 @@ impl Integrator for Direct {
     fn mirrored(&self, world: &World<'_>, point: &Shading<'_>, among: Among, draws: &mut Draws, queue: &mut Queue) {
         let surface = point.surface;
         let bsdf = Bsdf::new(surface, point.wo);
-        let rays = Shares::new(&bsdf, point.rays, world.sampler).lobe;
+        let rays = Shares::new(point, &bsdf, world.sampler).lobe;
         // Every so many camera rays have some, so that there are no more than were asked for.
         let Among { view, views, each } = among;
         let step = if each { 1 } else { views.div_ceil(rays.max(1)) };
@@ -138,25 +140,34 @@ struct Shares {
 }
 
 impl Shares {
-    fn new(bsdf: &Bsdf, rays: u32, sampler: &dyn DomeSampler) -> Self {
-        let quarter = (rays / 4).max(1);
-        let half = (rays / 2).max(1);
-        let most = (rays - rays / 4).max(1);
+    /// Of the rays asked for; where there are few, each has one at least.
+    fn new(point: &Shading<'_>, bsdf: &Bsdf, sampler: &dyn DomeSampler) -> Self {
+        let rays = point.rays;
         if sampler.needs_partner() {
-            return Self { dome: rays.div_ceil(2), gloss: 0, lobe: half };
+            return Self { dome: rays.div_ceil(2), gloss: 0, lobe: (rays / 2).max(1) };
         }
         let Some(lobe) = &bsdf.specular else { return Self { dome: rays, gloss: 0, lobe: 0 } };
-        let metal = bsdf.diffuse == Vec3::ZERO;
-        if lobe.alpha < NARROW {
-            if metal { Self { dome: 0, gloss: 0, lobe: rays } } else { Self { dome: most, gloss: 0, lobe: quarter } }
-        } else if metal {
-            let [dome, gloss] = if sampler.sees_gloss() { [0, rays - rays / 2] } else { [rays - rays / 2, 0] };
-            Self { dome, gloss, lobe: half }
-        } else if lobe.alpha < WIDE && sampler.sees_gloss() {
-            Self { dome: rays.saturating_sub(2 * quarter).max(1), gloss: quarter, lobe: quarter }
-        } else {
-            Self { dome: most, gloss: 0, lobe: quarter }
+        let weight = |albedo: Vec3| Dome::weight(albedo.to_array());
+        let diffuse = weight(bsdf.diffuse);
+        let specular = weight(lobe.fresnel(point.wo.dot(point.surface.ns))).max(f32::MIN_POSITIVE);
+        // How much of what is reflected the lobe reflects.
+        let shine = specular / (diffuse + specular);
+        let mirror = lobe.alpha < NARROW;
+        let by_irradiance = !sampler.sees_gloss() || (lobe.alpha >= WIDE && shine < 0.5);
+        if !mirror && by_irradiance {
+            // These serve both terms: from a quarter to half of all come from the lobe.
+            let lobe = ((rays as f32 * 0.25 * (1.0 + shine)).round() as u32).max(1);
+            return Self { dome: rays.saturating_sub(lobe).max(1), gloss: 0, lobe };
         }
+        // The lobe's have a quarter each at least: what it shows is narrower, and knows no control variate.
+        let quarter = (rays / 4).max(1);
+        let most = rays.saturating_sub(if mirror { quarter } else { 2 * quarter });
+        let dome = ((rays as f32 * (1.0 - shine)).round() as u32).min(most).max(u32::from(diffuse > 0.0));
+        let left = rays.saturating_sub(dome);
+        if mirror {
+            return Self { dome, gloss: 0, lobe: left.max(1) };
+        }
+        Self { dome, gloss: left.div_ceil(2).max(1), lobe: (left / 2).max(1) }
     }
 }
 
