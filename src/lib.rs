@@ -41,4 +41,5 @@ pub mod render;
 pub mod sampler;
 pub mod scene;
 pub mod simd;
+mod trig;
 pub mod vectors;

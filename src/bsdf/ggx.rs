@@ -5,8 +5,9 @@
 //! 1e-4 the subtraction would have no digits left.
 
 use super::Specular;
+use crate::trig::sin_cos_turns;
 use glam::Vec3;
-use std::f32::consts::{PI, TAU};
+use std::f32::consts::PI;
 
 /// An orthonormal frame around a unit normal (Duff et al. 2017).
 #[derive(Debug, Clone, Copy)]
@@ -30,57 +31,112 @@ impl Frame {
     }
 
     /// World to local.
+    #[inline(always)]
     pub fn to_local(&self, v: Vec3) -> Vec3 {
         Vec3::new(self.x.dot(v), self.y.dot(v), self.z.dot(v))
     }
 
     /// Local to world.
+    #[inline(always)]
     pub fn to_world(&self, v: Vec3) -> Vec3 {
         self.x * v.x + self.y * v.y + self.z * v.z
     }
 }
 
 /// Smith's Λ for a local direction.
+#[inline(always)]
 fn lambda(v: Vec3, alpha: f32) -> f32 {
-    let tangent2 = (v.x * v.x + v.y * v.y) / (v.z * v.z).max(f32::MIN_POSITIVE);
+    let tangent2 = (v.x * v.x + v.y * v.y) / at_least(v.z * v.z, f32::MIN_POSITIVE);
     0.5 * ((1.0 + alpha * alpha * tangent2).sqrt() - 1.0)
 }
 
 /// The distribution of normals at a local half vector, sr⁻¹.
+#[inline(always)]
 fn distribution(h: Vec3, alpha: f32) -> f32 {
     let a2 = alpha * alpha;
     let d = h.z * h.z * a2 + h.x * h.x + h.y * h.y;
     a2 / (PI * d * d)
 }
 
-/// The specular reflectance for local directions, sr⁻¹ (no cosine), and the density with which [`sample`] draws `wi`.
-pub fn eval(lobe: &Specular, wo: Vec3, wi: Vec3) -> (Vec3, f32) {
-    if wo.z <= 0.0 || wi.z <= 0.0 {
-        return (Vec3::ZERO, 0.0);
-    }
-    let h = (wo + wi).normalize_or_zero();
-    let d = distribution(h, lobe.alpha);
-    let (out, into) = (lambda(wo, lobe.alpha), lambda(wi, lobe.alpha));
-    let f = lobe.fresnel(wo.dot(h)) * (d / ((1.0 + out + into) * 4.0 * wo.z * wi.z));
-    (f, d / ((1.0 + out) * 4.0 * wo.z))
+/// A plain comparison is what vector units have; f32::max would see to NaN as well.
+#[inline(always)]
+fn at_least(x: f32, least: f32) -> f32 {
+    if x > least { x } else { least }
 }
 
-/// A direction drawn by the density of visible normals for `u` in the unit square, its density, and the weight
-/// f·cos/density, which needs no D and is finite however narrow the lobe. `None` below the horizon (the weight is 0).
-pub fn sample(lobe: &Specular, wo: Vec3, u: [f32; 2]) -> Option<(Vec3, f32, Vec3)> {
-    if wo.z <= 0.0 {
-        return None;
+/// How a lobe reflects between two directions, without its colour.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Lobed {
+    /// What f0 is multiplied by, sr⁻¹ (no cosine).
+    pub body: f32,
+    /// What f90 is multiplied by.
+    pub rim: f32,
+    /// The density with which [`sample`] draws the direction.
+    pub pdf: f32,
+}
+
+impl Lobed {
+    /// For local directions to the viewer and to the light; all 0 where either is below the horizon.
+    #[inline(always)]
+    pub fn new(alpha: f32, wo: Vec3, wi: Vec3) -> Self {
+        let sum = wo + wi;
+        let h = sum * (1.0 / at_least(sum.length_squared(), f32::MIN_POSITIVE).sqrt());
+        let d = distribution(h, alpha);
+        let (out, into) = (lambda(wo, alpha), lambda(wi, alpha));
+        let f = d / ((1.0 + out + into) * 4.0 * wo.z * wi.z);
+        let grazing = schlick(wo.dot(h));
+        let above = (wo.z > 0.0) & (wi.z > 0.0);
+        let only = |value: f32| if above { value } else { 0.0 };
+        Self { body: only(f * (1.0 - grazing)), rim: only(f * grazing), pdf: only(d / ((1.0 + out) * 4.0 * wo.z)) }
     }
-    let alpha = lobe.alpha;
-    let stretched = Vec3::new(alpha * wo.x, alpha * wo.y, wo.z).normalize();
-    let (sin, cos) = (TAU * u[0]).sin_cos();
+}
+
+/// (1 − v·h)⁵.
+#[inline(always)]
+fn schlick(cosine: f32) -> f32 {
+    let x = at_least(1.0 - cosine, 0.0);
+    let x2 = x * x;
+    x2 * x2 * x
+}
+
+/// The specular reflectance for local directions, sr⁻¹ (no cosine), and the density with which [`sample`] draws `wi`.
+pub fn eval(lobe: &Specular, wo: Vec3, wi: Vec3) -> (Vec3, f32) {
+    let Lobed { body, rim, pdf } = Lobed::new(lobe.alpha, wo, wi);
+    (lobe.f0 * body + lobe.f90 * rim, pdf)
+}
+
+/// A direction drawn by the density of visible normals for `u` in the unit square; below the horizon, it is lost.
+#[inline(always)]
+pub fn reflected(alpha: f32, wo: Vec3, u: [f32; 2]) -> Vec3 {
+    mirrored(wo, half_vector(alpha, wo, u))
+}
+
+#[inline(always)]
+fn mirrored(wo: Vec3, h: Vec3) -> Vec3 {
+    let wi = 2.0 * wo.dot(h) * h - wo;
+    wi * (1.0 / at_least(wi.length_squared(), f32::MIN_POSITIVE).sqrt())
+}
+
+#[inline(always)]
+fn half_vector(alpha: f32, wo: Vec3, u: [f32; 2]) -> Vec3 {
+    let stretched = Vec3::new(alpha * wo.x, alpha * wo.y, wo.z);
+    let stretched = stretched * (1.0 / at_least(stretched.length_squared(), f32::MIN_POSITIVE).sqrt());
+    let [sin, cos] = sin_cos_turns(u[0]);
     // A point on the cap that the stretched hemisphere reflects.
     let z = (1.0 - u[1]) * (1.0 + stretched.z) - stretched.z;
-    let ring = (1.0 - z * z).clamp(0.0, 1.0).sqrt();
+    let ring = at_least(1.0 - z * z, 0.0).sqrt();
     let h = Vec3::new(ring * cos, ring * sin, z) + stretched;
-    let h = Vec3::new(alpha * h.x, alpha * h.y, h.z.max(0.0)).normalize_or_zero();
-    let wi = (2.0 * wo.dot(h) * h - wo).normalize_or_zero();
-    if wi.z <= 0.0 {
+    let h = Vec3::new(alpha * h.x, alpha * h.y, at_least(h.z, 0.0));
+    h * (1.0 / at_least(h.length_squared(), f32::MIN_POSITIVE).sqrt())
+}
+
+/// The same with its density and the weight f·cos/density, which needs no D and is finite however narrow the lobe. `None`
+/// below the horizon (the weight is 0).
+pub fn sample(lobe: &Specular, wo: Vec3, u: [f32; 2]) -> Option<(Vec3, f32, Vec3)> {
+    let alpha = lobe.alpha;
+    let h = half_vector(alpha, wo, u);
+    let wi = mirrored(wo, h);
+    if wo.z <= 0.0 || wi.z <= 0.0 {
         return None;
     }
     let (out, into) = (lambda(wo, alpha), lambda(wi, alpha));
@@ -92,6 +148,7 @@ pub fn sample(lobe: &Specular, wo: Vec3, u: [f32; 2]) -> Option<(Vec3, f32, Vec3
 mod tests {
     use super::*;
     use crate::random;
+    use std::f32::consts::TAU;
 
     fn lobe(alpha: f32) -> Specular {
         Specular { alpha, f0: Vec3::splat(0.04), f90: 1.0 }

@@ -4,6 +4,7 @@
 //! (counter-clockwise seen from above: 90° takes +X to −Z) is looked up at its direction turned back. A texel covers
 //! [i, i+1) × [j, j+1); coordinates wrap in u and clamp in v.
 
+use crate::trig;
 use glam::Vec3;
 use std::f64::consts::{PI, TAU};
 
@@ -48,14 +49,16 @@ impl Grid {
     }
 
     /// The texel a unit direction lies in.
+    #[inline(always)]
     pub fn texel(&self, dir: Vec3) -> u32 {
-        let u = (f64::from(dir.z).atan2(f64::from(dir.x)) + self.rotation) / TAU + 0.5;
+        let [x, y, z] = dir.to_array().map(f64::from);
+        let u = (trig::atan2(z, x) + self.rotation) * (1.0 / TAU) + 0.5;
+        let u = if u < 1.0 { u } else { u - 1.0 };
         // From the ring's radius as well as the height: acos loses half its digits at the poles.
-        let ring = f64::from(dir.x).hypot(f64::from(dir.z));
-        let v = ring.atan2(f64::from(dir.y)) / PI;
-        let column = (u.rem_euclid(1.0) * f64::from(self.width)) as u32;
-        let row = (v * f64::from(self.height)) as u32;
-        row.min(self.height - 1) * self.width + column.min(self.width - 1)
+        let v = trig::atan2((x * x + z * z).sqrt(), y) * (1.0 / PI);
+        // Rounding may leave the image by next to nothing.
+        let place = |share: f64, count: u32| trig::floor(if share > 0.0 { share * f64::from(count) } else { 0.0 });
+        place(v, self.height).min(self.height - 1) * self.width + place(u, self.width).min(self.width - 1)
     }
 
     /// The solid angle of each texel of a row, steradians: Δφ (cos θ₀ − cos θ₁) without its cancellation at the poles.

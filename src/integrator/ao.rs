@@ -7,6 +7,7 @@ use crate::random;
 use crate::registry::Plugin;
 use crate::sampler::Draws;
 use crate::scene::offset_origin;
+use crate::trig::sin_cos_turns;
 use glam::Vec3;
 
 /// The plugin.
@@ -40,8 +41,9 @@ impl Integrator for AmbientOcclusion {
 }
 
 /// A local direction with density cos θ/π, from two 32-bit fractions.
+#[inline(always)]
 pub fn cosine_direction([u, v]: [u32; 2]) -> Vec3 {
-    let (sin, cos) = (random::unit(u) * std::f32::consts::TAU).sin_cos();
+    let [sin, cos] = sin_cos_turns(random::unit(u));
     let r2 = random::unit(v);
     let r = r2.sqrt();
     Vec3::new(r * cos, r * sin, (1.0 - r2).sqrt())

@@ -11,17 +11,17 @@
 //! place in the pixel: these directions are dealt out to all camera rays of a sample ([`Integrator::mirrored`]).
 
 use super::lambert::Lambert;
+use super::lobe::{Lobe, Look, Propose, Proposed};
 use super::{Among, Integrator, MakeIntegrator, Queue, Shading, World};
 use crate::accel::Ray;
-use crate::bsdf::ggx::{self, Frame};
 use crate::bsdf::{Bsdf, Specular};
 use crate::dome::Dome;
-use crate::integrator::ao::cosine_direction;
 use crate::random;
 use crate::registry::Plugin;
 use crate::sampler::shadow_cache::NO_TARGET;
 use crate::sampler::{DomeSampler, Draws, Numbers, Point};
 use crate::scene::{Surface, offset_origin};
+use crate::simd::{dispatch, prefetch};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
@@ -38,6 +38,9 @@ const NARROW: f32 = 0.0025;
 
 /// α of roughness 0.55: wider lobes above a diffuse one are served well by directions drawn by irradiance.
 const WIDE: f32 = 0.3;
+
+/// Directions of a lobe treated together.
+const LANES: usize = 8;
 
 #[derive(Debug)]
 struct Direct;
@@ -171,46 +174,6 @@ impl Shares {
     }
 }
 
-/// The directions that the surface proposes.
-struct Lobe {
-    frame: Frame,
-    wo: Vec3,
-    specular: Option<Specular>,
-    /// Share of the directions drawn from the cosine, for samplers that need a partner everywhere.
-    cosine: f32,
-}
-
-impl Lobe {
-    fn new(bsdf: &Bsdf, ns: Vec3, wo: Vec3, partner: bool) -> Self {
-        let frame = Frame::new(ns);
-        let cosine = match (&bsdf.specular, partner) {
-            (None, _) => 1.0,
-            (Some(_), false) => 0.0,
-            (Some(_), true) => {
-                if bsdf.diffuse == Vec3::ZERO {
-                    0.0
-                } else {
-                    0.5
-                }
-            }
-        };
-        Self { frame, wo: frame.to_local(wo), specular: bsdf.specular, cosine }
-    }
-
-    /// Specular reflectance towards a local direction and the density of the lobe's directions there.
-    fn eval(&self, wi: Vec3) -> (Vec3, f32) {
-        let (f, pdf) = self.specular.as_ref().map_or((Vec3::ZERO, 0.0), |s| ggx::eval(s, self.wo, wi));
-        (f, (1.0 - self.cosine) * pdf + self.cosine * wi.z.max(0.0) * FRAC_1_PI)
-    }
-
-    fn sample(&self, u: [u32; 2], choice: f32) -> Option<Vec3> {
-        match &self.specular {
-            Some(s) if choice >= self.cosine => ggx::sample(s, self.wo, u.map(random::unit)).map(|(wi, ..)| wi),
-            _ => Some(cosine_direction(u)),
-        }
-    }
-}
-
 struct Shade<'a> {
     world: &'a World<'a>,
     point: &'a Shading<'a>,
@@ -249,37 +212,38 @@ impl Shade<'_> {
         k * (draws.integral - control)
     }
 
-    /// Directions from the dome for both terms; returns the control variate's mean over them.
+    /// Directions from the dome for both terms; returns the control variate's mean over them. The diffuse term goes by the
+    /// density of all the dome's directions, the specular one by that of the lobe's as well.
     fn both(&self, draws: &Draws, queue: &mut Queue, origin: Vec3) -> Vec3 {
-        let Surface { ns, ng, .. } = *self.point.surface;
+        let ng = self.point.surface.ng;
+        let diffuse = self.bsdf.diffuse * FRAC_1_PI;
+        let partner = self.world.sampler.needs_partner();
         let Draws { dir, radiance, pdf, control, target, .. } = draws;
         let n = dir.len() as f32;
         let mut sum = Vec3::ZERO;
-        for (i, &pdf) in pdf.iter().enumerate() {
-            let (dir, radiance, target) = (dir.get(i), radiance.get(i), target.get(i));
-            sum += radiance * control.get(i).map_or(0.0, |control| control / pdf);
-            if radiance == Vec3::ZERO {
-                continue;
-            }
-            // What is no number is not hidden: it is traced, found out and counted.
-            if dir.dot(ns) <= 0.0 || dir.dot(ng) <= 0.0 {
-                // Hidden by the surface itself: no ray, but the control variate still counts.
-                target.into_iter().for_each(|&target| queue.hide(target));
-            } else {
-                queue.push(Ray::new(origin, dir), radiance * self.reflectance(dir, n * pdf) * dir.dot(ns));
+        for first in (0..dir.len()).step_by(LANES) {
+            let seen = dispatch(Look::<LANES> { lobe: &self.lobe, dir: dir.rows(), first });
+            for i in first..dir.len().min(first + LANES) {
+                let (dir, radiance, pdf, target) = (dir.get(i), radiance.get(i), pdf[i], target.get(i));
+                sum += radiance * control.get(i).map_or(0.0, |control| control / pdf);
+                if radiance == Vec3::ZERO {
+                    continue;
+                }
+                let cosine = seen.cosine[i - first];
+                // What is no number is not hidden: it is traced, found out and counted.
+                if cosine <= 0.0 || dir.dot(ng) <= 0.0 {
+                    // Hidden by the surface itself: no ray, but the control variate still counts.
+                    target.into_iter().for_each(|&target| queue.hide(target));
+                    continue;
+                }
+                let (alone, specular) = (n * pdf, self.lobe.reflectance(&seen, i - first));
+                let both = alone + self.shares.lobe as f32 * seen.pdf[i - first];
+                let f = if partner { (diffuse + specular) / both } else { diffuse / alone + specular / both };
+                queue.push(Ray::new(origin, dir), radiance * f * cosine);
                 queue.targets.extend(target);
             }
         }
         sum / n
-    }
-
-    /// What a direction drawn from the dome adds by its radiance: the diffuse term by the density of all the dome's
-    /// directions, the specular one by that of the lobe's as well.
-    fn reflectance(&self, dir: Vec3, alone: f32) -> Vec3 {
-        let diffuse = self.bsdf.diffuse * FRAC_1_PI;
-        let (specular, lobe_pdf) = self.lobe.eval(self.lobe.frame.to_local(dir));
-        let both = alone + self.shares.lobe as f32 * lobe_pdf;
-        if self.world.sampler.needs_partner() { (diffuse + specular) / both } else { diffuse / alone + specular / both }
     }
 
     /// Directions from the dome as the lobe sees it.
@@ -292,59 +256,74 @@ impl Shade<'_> {
         let numbers = Numbers { seed, ..self.point.numbers };
         let point = Point { numbers, ..sampled(self.point, self.bsdf) };
         self.world.sampler.draw_gloss(&point, self.shares.gloss, draws);
-        let n = draws.dir.len() as f32;
+        let Draws { dir, radiance, pdf, target, .. } = draws;
+        let n = dir.len() as f32;
         let origin = offset_origin(surface.position, surface.error, surface.ng, surface.ng);
-        for i in 0..draws.dir.len() {
-            let (dir, radiance, pdf) = (draws.dir.get(i), draws.radiance.get(i), draws.pdf[i]);
-            let local = self.lobe.frame.to_local(dir);
-            let target = draws.target.get(i);
-            if local.z <= 0.0 || dir.dot(surface.ng) <= 0.0 {
-                target.into_iter().for_each(|&target| queue.hide(target));
-                continue;
+        for first in (0..dir.len()).step_by(LANES) {
+            let seen = dispatch(Look::<LANES> { lobe: &self.lobe, dir: dir.rows(), first });
+            for i in first..dir.len().min(first + LANES) {
+                let (dir, cosine, target) = (dir.get(i), seen.cosine[i - first], target.get(i));
+                if cosine <= 0.0 || dir.dot(surface.ng) <= 0.0 {
+                    target.into_iter().for_each(|&target| queue.hide(target));
+                    continue;
+                }
+                let both = n * pdf[i] + self.shares.lobe as f32 * seen.pdf[i - first];
+                let specular = self.lobe.reflectance(&seen, i - first);
+                queue.push(Ray::new(origin, dir), radiance.get(i) * specular * (cosine / both));
+                queue.targets.extend(target);
             }
-            let (specular, lobe_pdf) = self.lobe.eval(local);
-            let both = n * pdf + self.shares.lobe as f32 * lobe_pdf;
-            queue.push(Ray::new(origin, dir), radiance * specular * (local.z / both));
-            queue.targets.extend(target);
         }
     }
 
     /// Directions from the lobe.
     fn lobe(&self, draws: &mut Draws, queue: &mut Queue) {
+        match self.shares.lobe {
+            0 => (),
+            // Most mirrors: their other directions are other camera rays'.
+            1 => self.lobe_by::<1>(draws, queue),
+            _ => self.lobe_by::<LANES>(draws, queue),
+        }
+    }
+
+    fn lobe_by<const N: usize>(&self, draws: &mut Draws, queue: &mut Queue) {
         let surface = self.point.surface;
         let numbers = Numbers { seed: random::combine(self.point.numbers.seed, 0x10be), ..self.point.numbers };
-        let Shares { gloss, lobe, .. } = self.shares;
-        let (sampler, partner) = (self.world.sampler, self.world.sampler.needs_partner());
+        let Shares { gloss, lobe: of, .. } = self.shares;
+        let World { sampler, dome, .. } = *self.world;
+        let diffuse = if sampler.needs_partner() { self.bsdf.diffuse * FRAC_1_PI } else { Vec3::ZERO };
         // Those drawn last share the specular term.
         let others = if gloss == 0 && self.is_apart() { 0.0 } else { draws.dir.len() as f32 };
         let point = sampled(self.point, self.bsdf);
-        for i in 0..lobe {
-            let choice = (i as f32 + random::unit(numbers.word(i, 2))) / lobe as f32;
-            let u = numbers.square(i, lobe);
-            let Some(local) = self.lobe.sample(u, choice) else { continue };
-            let dir = self.lobe.frame.to_world(local);
-            if local.z <= 0.0 || dir.dot(surface.ng) <= 0.0 {
-                continue;
+        for first in (0..of).step_by(N) {
+            let count = (of - first).min(N as u32) as usize;
+            let Proposed { dir, texel, seen } =
+                dispatch(Propose::<N> { lobe: &self.lobe, grid: dome.grid, numbers, first, of });
+            let (dir, texel) = (&dir[..count], &texel[..count]);
+            texel.iter().for_each(|&texel| prefetch(&dome.texels, texel as usize));
+            let mut dome_pdf = [0.0; N];
+            if others > 0.0 && gloss > 0 {
+                sampler.pdf_gloss(draws, dir, texel, &mut dome_pdf[..count]);
+            } else if others > 0.0 {
+                for (pdf, (&dir, &texel)) in dome_pdf.iter_mut().zip(dir.iter().zip(texel)) {
+                    *pdf = sampler.pdf(&point, draws, dir, texel);
+                }
             }
-            let (radiance, texel) = self.world.dome.lookup(dir);
-            let (specular, lobe_pdf) = self.lobe.eval(local);
-            let dome_pdf = match others {
-                0.0 => 0.0,
-                _ if gloss > 0 => sampler.pdf_gloss(draws, dir, texel),
-                _ => sampler.pdf(&point, draws, dir, texel),
-            };
-            let both = lobe as f32 * lobe_pdf + others * dome_pdf;
-            let mut f = specular;
-            if partner {
-                f += self.bsdf.diffuse * FRAC_1_PI;
-            }
-            let contribution = radiance * f * (self.weight * local.z / both);
-            if contribution != Vec3::ZERO {
-                let origin = offset_origin(surface.position, surface.error, surface.ng, dir);
-                queue.push(Ray::new(origin, dir), contribution);
-                // As many targets as rays, whatever `draws` holds: a mirror has drawn nothing.
-                if sampler.listens() {
-                    queue.targets.push(NO_TARGET);
+            for (i, (&dir, &texel)) in dir.iter().zip(texel).enumerate() {
+                let cosine = seen.cosine[i];
+                if cosine <= 0.0 || dir.dot(surface.ng) <= 0.0 {
+                    continue;
+                }
+                let both = of as f32 * seen.pdf[i] + others * dome_pdf[i];
+                let f = self.lobe.reflectance(&seen, i) + diffuse;
+                let radiance = Vec3::from(dome.texels[texel as usize]);
+                let contribution = radiance * f * (self.weight * cosine / both);
+                if contribution != Vec3::ZERO {
+                    let origin = offset_origin(surface.position, surface.error, surface.ng, dir);
+                    queue.push(Ray::new(origin, dir), contribution);
+                    // As many targets as rays, whatever `draws` holds: a mirror has drawn nothing.
+                    if sampler.listens() {
+                        queue.targets.push(NO_TARGET);
+                    }
                 }
             }
         }

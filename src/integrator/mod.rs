@@ -6,6 +6,7 @@
 pub mod ao;
 pub mod direct;
 mod lambert;
+mod lobe;
 pub mod visibility;
 
 use crate::accel::{Accel, Ray};

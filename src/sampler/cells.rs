@@ -69,7 +69,7 @@ pub struct Sides {
 }
 
 /// A cell by its row (high half) and column (low half).
-#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable)]
 #[repr(transparent)]
 pub struct Place(u32);
 

@@ -114,6 +114,8 @@ pub struct Prepared {
     pub memo: tessellated::Memo,
     /// The same for the point's specular lobe.
     pub lobe: tessellated::Weights,
+    /// Whose these are.
+    pub glimpse: tessellated::Glimpse,
     /// The sketch's form of it: the counts of triangles.
     pub counts: tessellated::Counts,
     /// The tessellated sampler's record of the shadow cache, last read.
@@ -193,9 +195,9 @@ pub trait DomeSampler: Debug + Send + Sync {
         out.clear();
     }
 
-    /// The density with which [`Self::draw_gloss`] last drew `dir`, which lies in `texel`.
-    fn pdf_gloss(&self, _drawn: &Draws, _dir: Vec3, _texel: u32) -> f32 {
-        0.0
+    /// The density with which [`Self::draw_gloss`] last drew each direction of `dir`, which lie in these texels.
+    fn pdf_gloss(&self, _drawn: &Draws, _dir: &[Vec3], _texel: &[u32], pdf: &mut [f32]) {
+        pdf.fill(0.0);
     }
 
     /// Whether [`Self::expected`] has anything to go by yet.

@@ -36,6 +36,10 @@ pub struct Moments {
     pub s: Vec<f32>,
     /// |F_t| by the radius of the disc that spreads like the triangle.
     pub r: Vec<f32>,
+    /// F_t/|F_t|, a component each; 0 for an empty one.
+    pub axis: [Vec<f32>; 3],
+    /// (r/|F_t|)².
+    pub spread2: Vec<f32>,
     /// F_t a channel: x of red, y of red, … z of blue.
     pub rgb: Vec<Nine>,
 }
@@ -44,7 +48,8 @@ impl Moments {
     fn with_len(n: usize) -> Self {
         let row = || vec![0.0; n];
         let rgb = vec![Nine::default(); n.div_ceil(GROUP_LANES)];
-        Self { x: row(), y: row(), z: row(), f: row(), s: row(), r: row(), rgb }
+        let axis = [row(), row(), row()];
+        Self { x: row(), y: row(), z: row(), f: row(), s: row(), r: row(), axis, spread2: row(), rgb }
     }
 
     fn set(&mut self, i: usize, triangle: &Triangle) {
@@ -53,6 +58,10 @@ impl Moments {
         self.f[i] = triangle.weight.length() as f32;
         self.s[i] = triangle.s();
         self.r[i] = triangle.r();
+        for (row, along) in self.axis.iter_mut().zip(f.normalize_or_zero().to_array()) {
+            row[i] = along;
+        }
+        self.spread2[i] = if self.f[i] > 0.0 { (self.r[i] / self.f[i]).powi(2) } else { 0.0 };
         for (channel, f) in triangle.rgb.iter().enumerate() {
             for (axis, value) in f.as_vec3().to_array().into_iter().enumerate() {
                 self.rgb[i / GROUP_LANES].0[3 * channel + axis][i % GROUP_LANES] = value;

@@ -33,6 +33,7 @@ mod texels;
 mod walk;
 mod weights;
 
+pub use gloss::Glimpse;
 pub use memory::Found;
 pub use seed::Counts;
 pub use walk::Walk;
@@ -46,7 +47,7 @@ use super::{DomeSampler, Draws, MakeSampler, Point, SamplerStats, Setup};
 use crate::dome::Dome;
 use crate::error::{Error, Result};
 use crate::registry::{Kind, Opt, Params, Plugin};
-use crate::simd::dispatch;
+use crate::simd::{dispatch, prefetch};
 use draw::MOST_AT_HORIZON;
 use expected::Expected;
 use glam::Vec3;
@@ -129,8 +130,8 @@ pub struct Tessellated {
     cells: DomeCells,
     triangles: Preconvolution,
     texels: Texels,
-    /// For `pdf`: where on the curve a cell stands, and its leaf slot; empty without gloss.
-    places: Vec<(u32, u32)>,
+    /// For `pdf`, by cell; empty without gloss.
+    drawn: Vec<Drawn>,
     memory: Memory,
     normals: Normals,
     /// The groups as each cell of normals sees them, made when the first such normal turns up; empty without a cache.
@@ -157,6 +158,18 @@ const NORMALS: u64 = 2304;
 /// Groups of the horizon with less than this share of the light are not taken apart leaf by leaf for a cell of normals: the
 /// control variate leaves them out.
 const TABLE_NOTABLE: f32 = 3e-5;
+
+/// How the cells of a group are drawn by energy, cell by cell: a density that is asked for costs one line of memory.
+#[derive(Debug, Clone, Copy, Default)]
+struct Drawn {
+    /// Density inside the group, sr⁻¹; 0 for a cell without light.
+    in_group: f32,
+    /// The slot of its leaf.
+    slot: u32,
+}
+
+/// Densities asked for together.
+const ASKED: usize = 8;
 
 /// A texel with more than so many times the light of all others leaves single precision no digits for them.
 const MOST_CONTRAST: f64 = 1e5;
@@ -201,12 +214,15 @@ impl Tessellated {
         let preconvolved = Preconvolution::new(&cells, &tessellation);
 
         let texels = Texels::new(&cells, &tessellation, &preconvolved);
-        let mut places = Vec::new();
+        let mut drawn = Vec::new();
         if setup.gloss {
-            places = vec![(u32::MAX, 0); cells.count()];
+            drawn = vec![Drawn::default(); cells.count()];
             for (slot, leaf) in texels.leaves.iter().enumerate() {
                 for at in leaf.begin..leaf.end {
-                    places[tessellation.cells[at as usize] as usize] = (at, slot as u32);
+                    let cell = tessellation.cells[at as usize];
+                    let share = f64::from(texels.counts(at).1) / f64::from(COUNTS);
+                    let in_group = (share / cells.solid_angle(cell)) as f32;
+                    drawn[cell as usize] = Drawn { in_group, slot: slot as u32 };
                 }
             }
         }
@@ -216,7 +232,7 @@ impl Tessellated {
         let expected = if cache.is_some() { Expected::new(&preconvolved) } else { Expected::default() };
         let (memory, triangles) = (Memory::new(cache), preconvolved);
         let prepare_s = start.elapsed().as_secs_f64();
-        Self { cells, triangles, texels, places, memory, normals, table, expected, prepare_s }
+        Self { cells, triangles, texels, drawn, memory, normals, table, expected, prepare_s }
     }
 
     /// Goes by what the cache has counted from now on.
@@ -272,34 +288,42 @@ impl DomeSampler for Tessellated {
     fn pdf(&self, _point: &Point, drawn: &Draws, dir: Vec3, texel: u32) -> f32 {
         let weights = drawn.prepared.memo.current();
         let cell = self.cells.cell(dir, texel);
-        let (place, slot) = match self.places.get(cell as usize) {
-            Some(&(place, slot)) if place != u32::MAX && weights.total > 0 => (place, slot as usize),
+        let Drawn { in_group, slot } = match self.drawn.get(cell as usize) {
+            Some(drawn) if drawn.in_group > 0.0 && weights.total > 0 => *drawn,
             _ => return 0.0,
         };
+        let slot = slot as usize;
         let (group, leaf_of_group) = (slot / LEAVES_A_GROUP, slot % LEAVES_A_GROUP);
         let share = |width: u32, of: u32| if of == 0 { 0.0 } else { f64::from(width) / f64::from(of) };
-        let width = self.texels.counts(place).1;
+        let solid_angle = self.cells.solid_angle(cell);
+        let by_energy = f64::from(in_group) * solid_angle;
         // As `draw` chose them.
         let in_group = if weights.goes_by_energy(group) {
-            share(width, COUNTS)
+            by_energy
         } else {
             let counts = LeafCounts::new(&self.triangles.leaves[group], weights.aim);
             let leaf = self.texels.leaves[slot];
             let of_leaf = leaf.begin..leaf.end;
             let in_leaf = if !counts.above(leaf_of_group) && of_leaf.len() <= MOST_AT_HORIZON {
-                let width = |place| self.horizon_width(place, weights.aim);
-                share(width(place), of_leaf.map(width).sum())
+                let of_cell = self.cells.locate(cell);
+                let (mut own, mut all) = (0, 0);
+                for place in of_leaf {
+                    let width = self.horizon_width(place, weights.aim);
+                    all += width;
+                    own = if self.texels.order()[place as usize].place == of_cell { width } else { own };
+                }
+                share(own, all)
             } else {
-                share(width, leaf.counts)
+                by_energy * f64::from(COUNTS) / f64::from(leaf.counts)
             };
             share(counts.width(leaf_of_group), counts.total()) * in_leaf
         };
         let probability = share(weights.widths[group], weights.total) * in_group;
-        (probability / self.cells.solid_angle(cell)) as f32
+        (probability / solid_angle) as f32
     }
 
     fn sees_gloss(&self) -> bool {
-        !self.places.is_empty()
+        !self.drawn.is_empty()
     }
 
     fn draw_gloss(&self, point: &Point, n: u32, out: &mut Draws) {
@@ -307,31 +331,41 @@ impl DomeSampler for Tessellated {
         let Some(lobe) = &point.bsdf.specular else { return };
         let (record, target) = self.memory.consult(point, out);
         let weights = &mut out.prepared.lobe;
-        dispatch(WeighLobe {
-            triangles: &self.triangles,
-            lobe,
-            normal: point.ns,
-            wo: point.wo,
-            visibility: record.map(|record| record.visibility),
-            weights,
-        });
+        let asked = Glimpse::new(point, lobe, self.memory.version(), record.map(|record| record.slot));
+        if !out.prepared.glimpse.serves(&asked) {
+            dispatch(WeighLobe {
+                triangles: &self.triangles,
+                lobe,
+                normal: point.ns,
+                wo: point.wo,
+                visibility: record.map(|record| record.visibility),
+                weights,
+            });
+            out.prepared.glimpse = asked;
+        }
         if weights.total == 0 {
             return;
         }
         self.walk_by(&Asked::new(point, n), target, out);
     }
 
-    fn pdf_gloss(&self, drawn: &Draws, dir: Vec3, texel: u32) -> f32 {
+    fn pdf_gloss(&self, drawn: &Draws, dir: &[Vec3], texel: &[u32], pdf: &mut [f32]) {
         let weights = &drawn.prepared.lobe;
-        let cell = self.cells.cell(dir, texel);
-        match self.places.get(cell as usize) {
-            Some(&(place, slot)) if place != u32::MAX && weights.total > 0 => {
-                let group = slot as usize / LEAVES_A_GROUP;
-                let share = |width: u32, of: u32| f64::from(width) / f64::from(of);
-                let in_group = share(self.texels.counts(place).1, COUNTS);
-                (share(weights.widths[group], weights.total) * in_group / self.cells.solid_angle(cell)) as f32
+        if self.drawn.is_empty() || weights.total == 0 {
+            pdf.fill(0.0);
+            return;
+        }
+        let by_total = 1.0 / weights.total as f32;
+        for ((dir, texel), pdf) in dir.chunks(ASKED).zip(texel.chunks(ASKED)).zip(pdf.chunks_mut(ASKED)) {
+            let mut cells = [0; ASKED];
+            for ((cell, &dir), &texel) in cells.iter_mut().zip(dir).zip(texel) {
+                *cell = self.cells.cell(dir, texel);
+                prefetch(&self.drawn, *cell as usize);
             }
-            _ => 0.0,
+            for (pdf, &cell) in pdf.iter_mut().zip(&cells) {
+                let Drawn { in_group, slot } = self.drawn[cell as usize];
+                *pdf = weights.widths[slot as usize / LEAVES_A_GROUP] as f32 * by_total * in_group;
+            }
         }
     }
 
@@ -392,7 +426,7 @@ impl DomeSampler for Tessellated {
     fn stats(&self) -> SamplerStats {
         let moments = 15 * 4 * (self.triangles.groups.x.len() + self.texels.leaves.len());
         let table: usize = self.table.iter().filter_map(OnceLock::get).map(Irradiance::bytes).sum();
-        let bytes = moments + self.texels.bytes() + table + size_of_val(&self.places[..]);
+        let bytes = moments + self.texels.bytes() + table + size_of_val(&self.drawn[..]);
         SamplerStats {
             prepare_s: self.prepare_s,
             triangles: self.texels.leaves.iter().filter(|leaf| leaf.end > leaf.begin).count() as u64,
@@ -420,6 +454,12 @@ mod tests {
         let bsdf = Bsdf { diffuse: Vec3::ONE, specular: None };
         let numbers = Numbers { seed, sample: 0 };
         Point { pixel: [0, 0], distance: 1.0, ng: ns, ns, wo: ns, bsdf, numbers }
+    }
+
+    fn pdf_gloss(sampler: &Tessellated, draws: &Draws, dir: Vec3, texel: u32) -> f32 {
+        let mut pdf = [0.0];
+        sampler.pdf_gloss(draws, &[dir], &[texel], &mut pdf);
+        pdf[0]
     }
 
     fn grey(width: u32, height: u32) -> Arc<Dome> {
@@ -469,14 +509,14 @@ mod tests {
             let mut bright = 0;
             for (dir, &pdf) in draws.dir.iter().zip(&draws.pdf) {
                 let texel = dome.grid.texel(dir);
-                let again = sampler.pdf_gloss(&draws, dir, texel);
+                let again = pdf_gloss(&sampler, &draws, dir, texel);
                 assert!((again / pdf - 1.0).abs() < 1e-4, "{what}: drawn with {pdf}, said to be {again}");
                 bright += u32::from(is_window(texel as usize));
             }
             assert!(!looks || alpha > 0.1 || bright > 48, "{what}: {bright} of 64 go to the window");
             let density = |cell: u32| {
                 let dir = sampler.cells.sides(sampler.cells.locate(cell)).direction(0.5, 0.5);
-                f64::from(sampler.pdf_gloss(&draws, dir, dome.grid.texel(dir))) * sampler.cells.solid_angle(cell)
+                f64::from(pdf_gloss(&sampler, &draws, dir, dome.grid.texel(dir))) * sampler.cells.solid_angle(cell)
             };
             let sum: f64 = (0..sampler.cells.count() as u32).map(density).sum();
             assert!((sum - 1.0).abs() < 1e-4, "{what}: {sum}");

@@ -329,7 +329,7 @@ fn spread(m: f32, b: f32) -> f32 {
 
 /// A square root to 4 %, by halving the exponent: it only shapes a density, and the real one costs ten times as much.
 #[inline(always)]
-fn about_sqrt(x: f32) -> f32 {
+pub(super) fn about_sqrt(x: f32) -> f32 {
     f32::from_bits((x.to_bits() >> 1) + 0x1fbb_4f2e)
 }
 
