@@ -223,8 +223,8 @@ impl Shade<'_> {
         let mut sum = Vec3::ZERO;
         for first in (0..dir.len()).step_by(LANES) {
             let seen = dispatch(Look::<LANES> { lobe: &self.lobe, dir: dir.rows(), first });
-            for i in first..dir.len().min(first + LANES) {
-                let (dir, radiance, pdf, target) = (dir.get(i), radiance.get(i), pdf[i], target.get(i));
+            for (i, &pdf) in pdf.iter().enumerate().skip(first).take(LANES) {
+                let (dir, radiance, target) = (dir.get(i), radiance.get(i), target.get(i));
                 sum += radiance * control.get(i).map_or(0.0, |control| control / pdf);
                 if radiance == Vec3::ZERO {
                     continue;
@@ -261,13 +261,13 @@ impl Shade<'_> {
         let origin = offset_origin(surface.position, surface.error, surface.ng, surface.ng);
         for first in (0..dir.len()).step_by(LANES) {
             let seen = dispatch(Look::<LANES> { lobe: &self.lobe, dir: dir.rows(), first });
-            for i in first..dir.len().min(first + LANES) {
+            for (i, &pdf) in pdf.iter().enumerate().skip(first).take(LANES) {
                 let (dir, cosine, target) = (dir.get(i), seen.cosine[i - first], target.get(i));
                 if cosine <= 0.0 || dir.dot(surface.ng) <= 0.0 {
                     target.into_iter().for_each(|&target| queue.hide(target));
                     continue;
                 }
-                let both = n * pdf[i] + self.shares.lobe as f32 * seen.pdf[i - first];
+                let both = n * pdf + self.shares.lobe as f32 * seen.pdf[i - first];
                 let specular = self.lobe.reflectance(&seen, i - first);
                 queue.push(Ray::new(origin, dir), radiance.get(i) * specular * (cosine / both));
                 queue.targets.extend(target);
@@ -324,6 +324,79 @@ impl Shade<'_> {
                     if sampler.listens() {
                         queue.targets.push(NO_TARGET);
                     }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dome::{Faults, project::Grid};
+    use crate::registry::resolve;
+    use crate::sampler::{SAMPLERS, Setup};
+    use std::sync::Arc;
+
+    fn sampler(spec: &str) -> Box<dyn DomeSampler> {
+        let grid = Grid::new(32, 16, 0.0);
+        let dome = Arc::new(Dome { grid, texels: vec![[1.0; 3]; grid.len()], faults: Faults::default() });
+        let (plugin, params) = resolve("sampler", SAMPLERS, spec).unwrap();
+        (plugin.make)(&dome, &params, &Setup { size: [8, 8], gloss: true, rays: 16, spp: 1 }).unwrap()
+    }
+
+    /// Shares of a surface of grey 0.5 seen head-on.
+    fn shares(sampler: &dyn DomeSampler, rays: u32, metallic: f32, roughness: f32) -> Shares {
+        let surface = Surface {
+            position: Vec3::ZERO,
+            error: 0.0,
+            ng: Vec3::Z,
+            ns: Vec3::Z,
+            base_color: Vec3::splat(0.5),
+            metallic,
+            roughness,
+            dielectric_f0: Vec3::splat(0.04),
+            dielectric_f90: 1.0,
+            emission: Vec3::ZERO,
+            unlit: false,
+        };
+        let numbers = Numbers { seed: 0, sample: 0 };
+        let point = Shading { pixel: [0; 2], distance: 1.0, wo: Vec3::Z, surface: &surface, numbers, rays };
+        Shares::new(&point, &Bsdf::new(&surface, Vec3::Z), sampler)
+    }
+
+    #[test]
+    fn rays_go_to_both_terms_by_what_each_reflects() {
+        let sampler = sampler("tessellated");
+        let of = |metallic, roughness| {
+            let Shares { dome, gloss, lobe } = shares(sampler.as_ref(), 16, metallic, roughness);
+            [dome, gloss, lobe]
+        };
+        // Plastic: the lobe has a quarter of each kind, though it reflects a twelfth.
+        assert_eq!(of(0.0, 0.4), [8, 4, 4]);
+        assert_eq!(of(0.0, 0.9), [12, 0, 4], "a wide lobe is served by irradiance");
+        assert_eq!(of(0.0, 0.01), [12, 0, 4], "a mirror's other directions are not the dome's");
+        // Metal, and what a texture's last bits make of it.
+        assert_eq!(of(1.0, 0.4), [0, 8, 8]);
+        assert_eq!(of(1.0, 0.9), [0, 8, 8]);
+        assert_eq!(of(0.98, 0.4), [1, 8, 7]);
+        assert_eq!(of(0.98, 0.9), [1, 8, 7], "a wide lobe that reflects nearly all");
+        assert_eq!(of(0.98, 0.01), [1, 0, 15]);
+    }
+
+    #[test]
+    fn few_rays_are_shared_out_and_no_term_is_left_without() {
+        for spec in ["tessellated", "latlong", "latlong:mis"] {
+            let sampler = sampler(spec);
+            for (metallic, roughness) in
+                [0.0, 0.3, 0.98, 1.0].into_iter().flat_map(|m| [0.01, 0.3, 1.0].map(|r| (m, r)))
+            {
+                for rays in 1..=64 {
+                    let Shares { dome, gloss, lobe } = shares(sampler.as_ref(), rays, metallic, roughness);
+                    let what = format!("{spec}, {rays} rays, metallic {metallic}, roughness {roughness}");
+                    assert!(lobe > 0 && (dome > 0 || metallic == 1.0), "{what}");
+                    assert!(dome + gloss + lobe <= rays.max(3), "{what}: {dome}, {gloss}, {lobe}");
+                    assert!(dome + gloss + lobe >= rays, "{what}: {dome}, {gloss}, {lobe}");
                 }
             }
         }

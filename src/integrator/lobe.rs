@@ -60,9 +60,9 @@ impl<const N: usize> Seen<N> {
             }
         }
         if lobe.cosine > 0.0 {
-            for i in 0..N {
-                let up = if z[i] > 0.0 { z[i] } else { 0.0 };
-                seen.pdf[i] = (1.0 - lobe.cosine) * seen.pdf[i] + lobe.cosine * up * FRAC_1_PI;
+            for (pdf, &cosine) in seen.pdf.iter_mut().zip(z) {
+                let up = if cosine > 0.0 { cosine } else { 0.0 };
+                *pdf = (1.0 - lobe.cosine) * *pdf + lobe.cosine * up * FRAC_1_PI;
             }
         }
         seen
@@ -82,13 +82,14 @@ impl<const N: usize> Kernel for Look<'_, N> {
     #[inline(always)]
     fn run(self) -> Seen<N> {
         let Self { lobe, dir, first } = self;
-        let mut local = [[0.0; N]; 3];
-        for (row, dir) in local.iter_mut().zip(dir) {
+        let mut world = [[0.0; N]; 3];
+        for (row, dir) in world.iter_mut().zip(dir) {
             let count = N.min(dir.len() - first);
             row[..count].copy_from_slice(&dir[first..first + count]);
         }
+        let ([x, y, z], mut local) = (&world, [[0.0; N]; 3]);
         for i in 0..N {
-            let dir = lobe.frame.to_local(Vec3::new(local[0][i], local[1][i], local[2][i]));
+            let dir = lobe.frame.to_local(Vec3::new(x[i], y[i], z[i]));
             (local[0][i], local[1][i], local[2][i]) = (dir.x, dir.y, dir.z);
         }
         Seen::new(lobe, &local)
@@ -118,14 +119,14 @@ impl<const N: usize> Kernel for Propose<'_, N> {
     #[inline(always)]
     fn run(self) -> Proposed<N> {
         let Self { lobe, grid, numbers, first, of } = self;
-        let mut u = [[0; N]; 2];
+        let (mut u, mut v) = ([0; N], [0; N]);
         for i in 0..N {
-            [u[0][i], u[1][i]] = numbers.square(first + i as u32, of);
+            [u[i], v[i]] = numbers.square(first + i as u32, of);
         }
         let mut local = [[0.0; N]; 3];
         if let Some(Specular { alpha, .. }) = lobe.specular {
             for i in 0..N {
-                let dir = ggx::reflected(alpha, lobe.wo, [random::unit(u[0][i]), random::unit(u[1][i])]);
+                let dir = ggx::reflected(alpha, lobe.wo, [u[i], v[i]].map(random::unit));
                 (local[0][i], local[1][i], local[2][i]) = (dir.x, dir.y, dir.z);
             }
         }
@@ -133,7 +134,7 @@ impl<const N: usize> Kernel for Propose<'_, N> {
             for i in 0..N {
                 let index = first + i as u32;
                 let choice = (index as f32 + random::unit(numbers.word(index, 2))) / of as f32;
-                let dir = cosine_direction([u[0][i], u[1][i]]);
+                let dir = cosine_direction([u[i], v[i]]);
                 for (row, component) in local.iter_mut().zip(dir.to_array()) {
                     row[i] = if choice < lobe.cosine { component } else { row[i] };
                 }
@@ -149,5 +150,41 @@ impl<const N: usize> Kernel for Propose<'_, N> {
             texel[i] = grid.texel(dir[i]);
         }
         Proposed { dir, texel, seen: Seen::new(lobe, &local) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is proposed many at a time is what is proposed one by one, and is looked at alike.
+    #[test]
+    fn many_at_a_time_are_seen_like_one_by_one() {
+        let (ns, wo) = (Vec3::new(0.6, 0.0, 0.8), Vec3::new(0.0, 0.6, 0.8));
+        let (grid, numbers) = (Grid::new(1024, 512, 30.0), Numbers { seed: 5, sample: 3 });
+        let gloss = Some(Specular { alpha: 0.2, f0: Vec3::new(0.1, 0.2, 0.3), f90: 1.0 });
+        for (specular, partner) in [(None, true), (gloss, false), (gloss, true)] {
+            let bsdf = Bsdf { diffuse: Vec3::splat(0.3), specular };
+            let lobe = Lobe::new(&bsdf, ns, wo, partner);
+            let many = Propose::<8> { lobe: &lobe, grid, numbers, first: 8, of: 24 }.run();
+            let row = |axis: usize| many.dir.map(|dir| dir[axis]);
+            let rows = [row(0), row(1), row(2)];
+            let looked = Look::<8> { lobe: &lobe, dir: rows.each_ref().map(|row| &row[..]), first: 0 }.run();
+            for i in 0..8 {
+                let one = Propose::<1> { lobe: &lobe, grid, numbers, first: 8 + i as u32, of: 24 }.run();
+                assert_eq!((many.dir[i], many.texel[i]), (one.dir[0], one.texel[0]));
+                assert_eq!(many.texel[i], grid.texel(many.dir[i]));
+                let frame = Frame::new(ns);
+                let (f, pdf) = bsdf.specular.map_or((Vec3::ZERO, 0.0), |lobe| {
+                    ggx::eval(&lobe, frame.to_local(wo), frame.to_local(many.dir[i]))
+                });
+                let pdf = pdf + lobe.cosine * (many.dir[i].dot(ns).max(0.0) * FRAC_1_PI - pdf);
+                for seen in [&many.seen, &looked] {
+                    assert!((seen.pdf[i] - pdf).abs() <= 1e-5 * pdf, "{i}: {}, not {pdf}", seen.pdf[i]);
+                    assert!((lobe.reflectance(seen, i) - f).abs().max_element() <= 1e-5 * f.max_element(), "{i}");
+                    assert!((seen.cosine[i] - many.dir[i].dot(ns)).abs() < 1e-6, "{i}");
+                }
+            }
+        }
     }
 }

@@ -114,3 +114,38 @@ fn about_reciprocal(x: f32) -> f32 {
     let about = f32::from_bits(0x7ef3_11c3u32.wrapping_sub(x.to_bits()));
     about * (2.0 - x * about)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bsdf::Bsdf;
+    use crate::sampler::Numbers;
+
+    #[test]
+    fn weights_serve_samples_of_their_own_pixel_that_are_alike() {
+        let lobe = Specular { alpha: 0.2, f0: Vec3::splat(0.5), f90: 1.0 };
+        let point = Point {
+            pixel: [3, 4],
+            distance: 1.0,
+            ng: Vec3::Z,
+            ns: Vec3::Z,
+            wo: Vec3::X,
+            bsdf: Bsdf { diffuse: Vec3::ZERO, specular: Some(lobe) },
+            numbers: Numbers { seed: 7, sample: 0 },
+        };
+        let made = Glimpse::new(&point, &lobe, 2, Some(9));
+        let turned = |by: f32| Vec3::new(0.0, by, 1.0).normalize();
+        let other = |point: &Point, lobe: &Specular| made.serves(&Glimpse::new(point, lobe, 2, Some(9)));
+        assert!(other(&Point { numbers: Numbers { seed: 7, sample: 1 }, ..point }, &lobe));
+        assert!(other(&Point { ns: turned(0.015), ..point }, &lobe));
+        assert!(!other(&Point { ns: turned(0.025), ..point }, &lobe), "turned by more than a tenth of the width");
+        assert!(!other(&Point { wo: (Vec3::X + 0.025 * Vec3::Y).normalize(), ..point }, &lobe), "seen from elsewhere");
+        assert!(!other(&point, &Specular { alpha: 0.25, ..lobe }), "wider");
+        assert!(!other(&point, &Specular { f0: Vec3::splat(0.04), ..lobe }), "another material");
+        assert!(!other(&Point { pixel: [3, 5], ..point }, &lobe), "another pixel");
+        assert!(!other(&Point { numbers: Numbers { seed: 8, sample: 0 }, ..point }, &lobe), "another stage's numbers");
+        assert!(!made.serves(&Glimpse::new(&point, &lobe, 3, Some(9))), "a later stage");
+        assert!(!made.serves(&Glimpse::new(&point, &lobe, 2, None)), "another record");
+        assert!(!Glimpse::default().serves(&made), "none was made");
+    }
+}
