@@ -27,6 +27,7 @@ mod lanes;
 mod leaves;
 mod memory;
 mod normals;
+mod owners;
 mod seed;
 mod sums;
 mod texels;
@@ -47,7 +48,7 @@ use super::{DomeSampler, Draws, MakeSampler, Point, SamplerStats, Setup};
 use crate::dome::Dome;
 use crate::error::{Error, Result};
 use crate::registry::{Kind, Opt, Params, Plugin};
-use crate::simd::{dispatch, prefetch};
+use crate::simd::dispatch;
 use draw::MOST_AT_HORIZON;
 use expected::Expected;
 use glam::Vec3;
@@ -56,6 +57,7 @@ use irradiance::{Irradiance, Sweep};
 use leaves::LeafCounts;
 use memory::Memory;
 use normals::Normals;
+use owners::{MOST_LEAVES, Owners};
 use rayon::prelude::*;
 use seed::Seed;
 use std::io::{self, Read, Write};
@@ -130,8 +132,8 @@ pub struct Tessellated {
     cells: DomeCells,
     triangles: Preconvolution,
     texels: Texels,
-    /// For `pdf`, by cell; empty without gloss.
-    drawn: Vec<Drawn>,
+    /// For densities; empty without gloss.
+    owners: Owners,
     memory: Memory,
     normals: Normals,
     /// The groups as each cell of normals sees them, made when the first such normal turns up; empty without a cache.
@@ -159,15 +161,6 @@ const NORMALS: u64 = 2304;
 /// Groups of the horizon with less than this share of the light are not taken apart leaf by leaf for a cell of normals: the
 /// control variate leaves them out.
 const TABLE_NOTABLE: f32 = 3e-5;
-
-/// How the cells of a group are drawn by energy, cell by cell: a density that is asked for costs one line of memory.
-#[derive(Debug, Clone, Copy, Default)]
-struct Drawn {
-    /// Density inside the group, sr⁻¹; 0 for a cell without light.
-    in_group: f32,
-    /// The slot of its leaf.
-    slot: u32,
-}
 
 /// Densities asked for together.
 const ASKED: usize = 8;
@@ -210,30 +203,23 @@ impl Tessellated {
             false => (16 * rays).next_power_of_two().clamp(128, 512),
         };
         let groups = params.integer("groups").unwrap_or(affordable) as usize;
-        let triangles = params.integer("triangles").map_or(groups * LEAVES_A_GROUP, |t| t as usize).max(groups);
+        let triangles =
+            params.integer("triangles").map_or((groups * LEAVES_A_GROUP).min(MOST_LEAVES), |t| t as usize).max(groups);
         let tessellation = Tessellation::new(&cells, groups, triangles);
         let preconvolved = Preconvolution::new(&cells, &tessellation);
 
         let texels = Texels::new(&cells, &tessellation, &preconvolved);
-        let mut drawn = Vec::new();
-        if setup.gloss {
-            drawn = vec![Drawn::default(); cells.count()];
-            for (slot, leaf) in texels.leaves.iter().enumerate() {
-                for at in leaf.begin..leaf.end {
-                    let cell = tessellation.cells[at as usize];
-                    let share = f64::from(texels.counts(at).1) / f64::from(COUNTS);
-                    let in_group = (share / cells.solid_angle(cell)) as f32;
-                    drawn[cell as usize] = Drawn { in_group, slot: slot as u32 };
-                }
-            }
-        }
+        let owners = match setup.gloss {
+            true => Owners::new(cells.count(), &tessellation, &texels),
+            false => Owners::default(),
+        };
         let cache = cached.then(|| shadow_cache(params, setup, preconvolved.groups.x.len()));
         let normals = Normals::new(params.integer("normals").unwrap_or(NORMALS) as usize);
         let table = if cache.is_some() { vec![OnceLock::new(); normals.count()] } else { Vec::new() };
         let expected = if cache.is_some() { Expected::new(&preconvolved) } else { Expected::default() };
         let (memory, triangles) = (Memory::new(cache), preconvolved);
         let prepare_s = start.elapsed().as_secs_f64();
-        Self { cells, triangles, texels, drawn, memory, normals, table, expected, prepare_s }
+        Self { cells, triangles, texels, owners, memory, normals, table, expected, prepare_s }
     }
 
     /// Goes by what the cache has counted from now on.
@@ -289,18 +275,17 @@ impl DomeSampler for Tessellated {
     fn pdf(&self, _point: &Point, drawn: &Draws, dir: Vec3, texel: u32) -> f32 {
         let weights = drawn.prepared.memo.current();
         let cell = self.cells.cell(dir, texel);
-        let Drawn { in_group, slot } = match self.drawn.get(cell as usize) {
-            Some(drawn) if drawn.in_group > 0.0 && weights.total > 0 => *drawn,
-            _ => return 0.0,
-        };
-        let slot = slot as usize;
+        let energy = self.cells.energy(cell);
+        if energy == 0.0 || self.owners.is_empty() || weights.total == 0 {
+            return 0.0;
+        }
+        let slot = self.owners.slot(cell);
         let (group, leaf_of_group) = (slot / LEAVES_A_GROUP, slot % LEAVES_A_GROUP);
         let share = |width: u32, of: u32| if of == 0 { 0.0 } else { f64::from(width) / f64::from(of) };
-        let solid_angle = self.cells.solid_angle(cell);
-        let by_energy = f64::from(in_group) * solid_angle;
+        let width = self.texels.counts_by_energy(group, cell, energy);
         // As `draw` chose them.
         let in_group = if weights.goes_by_energy(group) {
-            by_energy
+            share(width, COUNTS)
         } else {
             let counts = LeafCounts::new(&self.triangles.leaves[group], weights.aim);
             let leaf = self.texels.leaves[slot];
@@ -315,16 +300,16 @@ impl DomeSampler for Tessellated {
                 }
                 share(own, all)
             } else {
-                by_energy * f64::from(COUNTS) / f64::from(leaf.counts)
+                share(width, leaf.counts)
             };
             share(counts.width(leaf_of_group), counts.total()) * in_leaf
         };
         let probability = share(weights.widths[group], weights.total) * in_group;
-        (probability / solid_angle) as f32
+        (probability / self.cells.solid_angle(cell)) as f32
     }
 
     fn sees_gloss(&self) -> bool {
-        !self.drawn.is_empty()
+        !self.owners.is_empty()
     }
 
     fn draw_gloss(&self, point: &Point, n: u32, out: &mut Draws) {
@@ -352,20 +337,22 @@ impl DomeSampler for Tessellated {
 
     fn pdf_gloss(&self, drawn: &Draws, dir: &[Vec3], texel: &[u32], pdf: &mut [f32]) {
         let weights = &drawn.prepared.lobe;
-        if self.drawn.is_empty() || weights.total == 0 {
+        if self.owners.is_empty() || weights.total == 0 {
             pdf.fill(0.0);
             return;
         }
-        let by_total = 1.0 / weights.total as f32;
+        let by_all = 1.0 / (f64::from(weights.total) * f64::from(COUNTS));
         for ((dir, texel), pdf) in dir.chunks(ASKED).zip(texel.chunks(ASKED)).zip(pdf.chunks_mut(ASKED)) {
             let mut cells = [0; ASKED];
             for ((cell, &dir), &texel) in cells.iter_mut().zip(dir).zip(texel) {
                 *cell = self.cells.cell(dir, texel);
-                prefetch(&self.drawn, *cell as usize);
+                self.owners.ask_for(*cell);
             }
             for (pdf, &cell) in pdf.iter_mut().zip(&cells) {
-                let Drawn { in_group, slot } = self.drawn[cell as usize];
-                *pdf = weights.widths[slot as usize / LEAVES_A_GROUP] as f32 * by_total * in_group;
+                let (energy, group) = (self.cells.energy(cell), self.owners.slot(cell) / LEAVES_A_GROUP);
+                let width = f64::from(self.texels.counts_by_energy(group, cell, energy));
+                let density = f64::from(weights.widths[group]) * width * by_all / self.cells.solid_angle(cell);
+                *pdf = if energy > 0.0 { density as f32 } else { 0.0 };
             }
         }
     }
@@ -427,7 +414,7 @@ impl DomeSampler for Tessellated {
     fn stats(&self) -> SamplerStats {
         let moments = 15 * 4 * (self.triangles.groups.x.len() + self.texels.leaves.len());
         let table: usize = self.table.iter().filter_map(OnceLock::get).map(Irradiance::bytes).sum();
-        let bytes = moments + self.texels.bytes() + table + size_of_val(&self.drawn[..]);
+        let bytes = moments + self.texels.bytes() + table + self.owners.bytes();
         SamplerStats {
             prepare_s: self.prepare_s,
             triangles: self.texels.leaves.iter().filter(|leaf| leaf.end > leaf.begin).count() as u64,

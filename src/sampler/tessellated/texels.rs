@@ -20,6 +20,24 @@ pub(super) struct Lit {
     pub(super) radiance: [f32; 3],
 }
 
+/// How a group shares its counts out to its cells.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sharing {
+    /// Counts by energy, beside the one that every cell has.
+    scale: f64,
+    /// The cell that has what rounding left over, and that.
+    brightest: u32,
+    over: u32,
+}
+
+impl Sharing {
+    #[inline(always)]
+    fn counts(&self, energy: f64) -> u32 {
+        // At least one each: no light is out of reach, however dim.
+        (energy * self.scale) as u32 + 1
+    }
+}
+
 /// A group's or a leaf's cells: a range of the curve.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Span {
@@ -40,6 +58,8 @@ pub(super) struct Texels {
     pub(super) leaves: Vec<Span>,
     /// From a group's counts to its cells.
     pub(super) buckets: Buckets,
+    /// By group.
+    sharing: Vec<Sharing>,
 }
 
 impl Texels {
@@ -53,39 +73,41 @@ impl Texels {
         let mut buckets = Buckets::new(groups.iter().map(|group| (group.end - group.begin) as usize));
 
         // Every group its own piece of the beginnings, in the order in which they follow each other.
-        let mut jobs: Vec<_> = groups.iter().zip(leaves.chunks_mut(LEAVES_A_GROUP)).zip(buckets.rooms()).collect();
-        jobs.sort_unstable_by_key(|((group, _), _)| group.begin);
+        let mut sharing = vec![Sharing::default(); groups.len()];
+        let parts = leaves.chunks_mut(LEAVES_A_GROUP).zip(&mut sharing).zip(buckets.rooms());
+        let mut jobs: Vec<_> = groups.iter().zip(parts).collect();
+        jobs.sort_unstable_by_key(|(group, _)| group.begin);
         let mut rest = &mut begins[..];
         let mut pieces = Vec::with_capacity(jobs.len());
         for job in jobs {
-            let (piece, after) = rest.split_at_mut((job.0.0.end - job.0.0.begin) as usize);
+            let (piece, after) = rest.split_at_mut((job.0.end - job.0.begin) as usize);
             rest = after;
             pieces.push((job, piece));
         }
-        pieces.into_par_iter().for_each(|(((group, leaves), room), begins)| {
+        pieces.into_par_iter().for_each(|((group, ((leaves, sharing), room)), begins)| {
             if begins.is_empty() {
                 return;
             }
             let members = &tessellation.cells[group.begin as usize..group.end as usize];
             let total: f64 = members.iter().map(|&cell| cells.energy(cell)).sum();
-            let scale = f64::from(COUNTS - members.len() as u32) / total;
+            sharing.scale = f64::from(COUNTS - members.len() as u32) / total;
             let mut at = 0;
             for (begin, &cell) in begins.iter_mut().zip(members) {
-                // At least one each: no light is out of reach, however dim.
                 *begin = at;
-                at += (cells.energy(cell) * scale) as u32 + 1;
+                at += sharing.counts(cells.energy(cell));
             }
             // What rounding has left over, at most one each, is the brightest one's.
             let widths = begins.iter().skip(1).chain([&at]).zip(&*begins).map(|(end, begin)| end - begin);
             let brightest = widths.enumerate().max_by_key(|&(_, width)| width).map_or(0, |(i, _)| i);
-            begins[brightest + 1..].iter_mut().for_each(|begin| *begin += COUNTS - at);
+            (sharing.brightest, sharing.over) = (members[brightest], COUNTS - at);
+            begins[brightest + 1..].iter_mut().for_each(|begin| *begin += sharing.over);
             for leaf in leaves.iter_mut().filter(|leaf| leaf.end > leaf.begin) {
                 leaf.first = begins[(leaf.begin - group.begin) as usize];
                 leaf.counts = begins.get((leaf.end - group.begin) as usize).unwrap_or(&COUNTS) - leaf.first;
             }
             room.fill(group.begin, begins);
         });
-        Self { order, begins, leaves, buckets }
+        Self { order, begins, leaves, buckets, sharing }
     }
 
     /// Where each cell's counts begin in its group's CDF.
@@ -98,6 +120,13 @@ impl Texels {
     #[inline(always)]
     pub(super) fn counts(&self, place: u32) -> (u32, u32) {
         counts(self.begins(), place)
+    }
+
+    /// How many counts of its group a lit cell has, by its energy alone.
+    #[inline(always)]
+    pub(super) fn counts_by_energy(&self, group: usize, cell: u32, energy: f64) -> u32 {
+        let sharing = &self.sharing[group];
+        sharing.counts(energy) + if cell == sharing.brightest { sharing.over } else { 0 }
     }
 
     /// The cells along the curve.
