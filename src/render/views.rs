@@ -1,10 +1,11 @@
 //! How many camera rays a camera sample is worth: what each region of the image asks for.
 //!
 //! A sample errs by where in the pixel it looks (what is expected, C, differs from place to place, and so does what a mirror
-//! shows, which counts towards C) and by what its shadow rays bring beside that (I − C). Further camera rays cost little
-//! and see C alone. With W the variance of C between the camera rays of a pixel, R the mean of (I − C)² and a sample's
-//! shadow rays at the price of a camera rays, n of these leave an error of R + W/n for a price of a + n: the product is
-//! least at n² = a W/R. Samples that miss everything trace no shadow rays: where all do, further camera rays would cost as
+//! shows, which counts towards C) and by what its shadow rays bring beside that, D = I − C. Further camera rays cost little
+//! and see C alone. Let W be the variance of C between the camera rays of a pixel plus twice the covariance of D with it,
+//! which is negative where the light does not go with what is expected (a sun in stripes finer than what is learned), and
+//! R the mean of D². With a sample's shadow rays at the price of a camera rays, n of these leave an error of R + W/n for a
+//! price of a + n: the product is least at n² = a W/R. Samples that miss everything trace no shadow rays: where all do, further camera rays would cost as
 //! much as they bring. All is measured by the learning stages in between (`schedule`), before the samples that go by it are
 //! taken: how many camera rays these have depends on nothing that they see, and whatever their number, each sample weighs
 //! the same in its pixel.
@@ -12,7 +13,7 @@
 //! Sums are integers, so that they are the same in whatever order tiles and threads add to them.
 
 use std::io::{self, Read, Write};
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
 
 /// Side of a region, pixels.
 const REGION: u32 = 32;
@@ -32,10 +33,11 @@ const ONE: f32 = 65536.0;
 #[derive(Debug)]
 pub(super) struct Views {
     columns: u32,
-    /// By region: Σ W and Σ R, relative to the light, sample by sample; samples, and those that traced shadow rays.
-    sums: Vec<[AtomicU64; 4]>,
+    /// By region: Σ W (of either sign) and Σ R, relative to the light, sample by sample; samples, and those that traced
+    /// shadow rays.
+    sums: Vec<[AtomicI64; 4]>,
     /// The same as it was when the last pass ended.
-    settled: Vec<[u64; 4]>,
+    settled: Vec<[i64; 4]>,
 }
 
 impl Views {
@@ -59,11 +61,13 @@ impl Views {
         if count < 2.0 || !light.is_finite() {
             return;
         }
-        let between = expected.iter().map(|c| (c - mean) * (c - mean)).sum::<f32>() / (count - 1.0);
-        let beside = (known - expected[0]) * (known - expected[0]);
+        let differs = expected.iter().map(|c| (c - mean) * (c - mean)).sum::<f32>();
+        let beside = known - expected[0];
+        // The first is any of them: the mean of its product with how far it stands out is that of the covariance.
+        let between = (differs + 2.0 * count * beside * (expected[0] - mean)) / (count - 1.0);
         // Without light there is no number, which counts nothing; the sample has its price.
-        let [between, beside] = [between, beside].map(|square| (square / light * ONE) as u64);
-        for (sum, more) in self.sums[self.region(pixel)].iter().zip([between, beside, 1, u64::from(traced)]) {
+        let [between, beside] = [between, beside * beside].map(|square| (square / light * ONE) as i64);
+        for (sum, more) in self.sums[self.region(pixel)].iter().zip([between, beside, 1, i64::from(traced)]) {
             sum.fetch_add(more, Relaxed);
         }
     }
@@ -133,6 +137,23 @@ mod tests {
         assert_eq!(of(&seen(0.1, 0.1, 4), 16), [4, 1]);
         // n² = 2 (4 + 2·4)/25 < 1.
         assert_eq!(of(&seen(0.02, 0.1, 1), 4), [1, 1]);
+    }
+
+    /// Half of the samples are brighter than the other half expects, or darker: as what is expected has it, or the other way
+    /// round, or not at all.
+    #[test]
+    fn what_does_not_go_with_the_expectation_asks_for_none() {
+        let of = |goes: f32| {
+            let mut views = Views::new([REGION, REGION]);
+            for i in 0..100 {
+                let at = if i % 2 == 0 { 0.1 } else { -0.1 };
+                let noise = if i % 4 < 2 { 0.1 } else { -0.1 };
+                views.notice([i % REGION, 0], &[1.0 + at, 1.0 - at], (1.0 + goes * at + noise, true));
+            }
+            views.settle();
+            views.of([0, 0], 16)
+        };
+        assert_eq!([of(1.0), of(0.5), of(0.0), of(-1.0)], [8, 1, 1, 1]);
     }
 
     /// A background, however much it differs from place to place: no shadow ray is saved.
