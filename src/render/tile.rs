@@ -11,6 +11,7 @@ use super::views::Views;
 use super::{Background, Counts, Render};
 use crate::accel::{Hit, Ray};
 use crate::dome::Dome;
+use crate::dome::project::Grid;
 use crate::film::{AovSample, Part, Sample};
 use crate::integrator::visibility::{self, nearest};
 use crate::integrator::{Among, Queue, Shading, World};
@@ -102,6 +103,8 @@ impl Render<'_> {
         }
         counts.camera_rays += s.rays.len() as u64;
         nearest(self.scene, self.accel, &s.rays, &mut s.hits, &mut s.visibility);
+        self.look_up(s);
+        let mut sky = 0;
         let mut waiting = None;
         for i in 0..s.rays.len() {
             let camera = s.cameras[i];
@@ -109,7 +112,8 @@ impl Render<'_> {
             let shaded = camera.is_shaded();
             let (ray, hit) = (&s.rays[i], &s.hits[i]);
             if !hit.is_hit() {
-                let sample = self.miss(ray);
+                let sample = self.miss(s.sky.get(sky).copied());
+                sky += 1;
                 if shaded {
                     s.expected.push(sample.radiance);
                 }
@@ -213,11 +217,20 @@ impl Render<'_> {
         }
     }
 
-    fn miss(&self, ray: &Ray) -> Sample {
-        let radiance = match self.settings.background {
-            Background::Dome if self.integrator.shows_dome() => self.dome.lookup(ray.dir).0,
-            _ => Vec3::ZERO,
-        };
+    /// Looks up what shows where nothing was hit, if the dome does.
+    fn look_up(&self, s: &mut Scratch) {
+        s.sky.clear();
+        if self.settings.background == Background::Dome && self.integrator.shows_dome() {
+            let missed = s.rays.iter().zip(&s.hits).filter(|(_, hit)| !hit.is_hit());
+            s.missed.clear();
+            s.missed.extend(missed.map(|(ray, _)| ray.dir));
+            dispatch(Texels { grid: self.dome.grid, dirs: &s.missed, texels: &mut s.sky });
+        }
+    }
+
+    /// A sample that hit nothing: in this texel, or nowhere.
+    fn miss(&self, texel: Option<u32>) -> Sample {
+        let radiance = texel.map_or(Vec3::ZERO, |texel| Vec3::from(self.dome.texels[texel as usize]));
         let alpha = if self.settings.background == Background::Transparent { 0.0 } else { 1.0 };
         Sample { radiance, alpha, aovs: self.settings.aovs.then_some(AovSample::default()) }
     }
@@ -280,6 +293,27 @@ impl Kernel for Places<'_> {
     }
 }
 
+/// The dome's texels that directions point at.
+struct Texels<'a> {
+    grid: Grid,
+    dirs: &'a [Vec3],
+    texels: &'a mut Vec<u32>,
+}
+
+impl Kernel for Texels<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for some in self.dirs.chunks(LANES) {
+            let mut dirs = [Vec3::X; LANES];
+            dirs[..some.len()].copy_from_slice(some);
+            let texels = dirs.map(|dir| self.grid.texel(dir));
+            self.texels.extend_from_slice(&texels[..some.len()]);
+        }
+    }
+}
+
 /// A sample to be shaded when the next one has begun.
 struct Waiting {
     sample: usize,
@@ -298,6 +332,9 @@ pub(super) struct Scratch {
     places: Vec<[f32; 2]>,
     rays: Vec<Ray>,
     hits: Vec<Hit>,
+    /// Directions of the rays that hit nothing, and the dome's texels there.
+    missed: Vec<Vec3>,
+    sky: Vec<u32>,
     pub(super) samples: Vec<Sample>,
     /// What the shaded ones were expected to be.
     expected: Vec<Vec3>,
