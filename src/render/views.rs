@@ -5,10 +5,10 @@
 //! and see C alone. Let W be the variance of C between the camera rays of a pixel plus twice the covariance of D with it,
 //! which is negative where the light does not go with what is expected (a sun in stripes finer than what is learned), and
 //! R the mean of D². With a sample's shadow rays at the price of a camera rays, n of these leave an error of R + W/n for a
-//! price of a + n: the product is least at n² = a W/R. Samples that miss everything trace no shadow rays: where all do, further camera rays would cost as
-//! much as they bring. All is measured by the learning stages in between (`schedule`), before the samples that go by it are
-//! taken: how many camera rays these have depends on nothing that they see, and whatever their number, each sample weighs
-//! the same in its pixel.
+//! price of a + n: the product is least at n² = a W/R. Samples that miss everything trace no shadow rays: where all do,
+//! further camera rays would cost as much as they bring. All is measured by the learning stages in between
+//! (`schedule`), before the samples that go by it are taken: how many camera rays these have depends on nothing that
+//! they see, and whatever their number, each sample weighs the same in its pixel.
 //!
 //! Sums are integers, so that they are the same in whatever order tiles and threads add to them.
 
