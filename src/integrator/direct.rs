@@ -10,6 +10,7 @@
 //! Below a roughness of 0.05 the lobe is left to its own directions. What a curved mirror shows differs most from place to
 //! place in the pixel: these directions are dealt out to all camera rays of a sample ([`Integrator::mirrored`]).
 
+use super::gloss::Gloss;
 use super::lambert::Lambert;
 use super::lobe::{Lobe, Look, Propose, Proposed};
 use super::{Among, Integrator, MakeIntegrator, Queue, Shading, World};
@@ -69,10 +70,13 @@ impl Integrator for Direct {
             lobe: Lobe::new(&bsdf, surface.ns, point.wo, world.sampler.needs_partner()),
             weight: 1.0,
         };
-        let light = shade.dome(draws, queue);
+        let mut light = shade.dome(draws, queue);
         if !self.mirrors(surface, world.sampler) {
-            shade.gloss(draws, queue);
-            shade.lobe(draws, queue);
+            if shade.shares.gloss > 0 {
+                light += shade.gloss(draws, queue);
+            } else {
+                shade.lobe(draws, queue);
+            }
         }
         surface.emission + light
     }
@@ -246,33 +250,18 @@ impl Shade<'_> {
         sum / n
     }
 
-    /// Directions from the dome as the lobe sees it.
-    fn gloss(&self, draws: &mut Draws, queue: &mut Queue) {
-        if self.shares.gloss == 0 {
-            return;
+    /// Directions from the dome as the lobe sees it, and from the lobe; returns what they are known to bring.
+    fn gloss(&self, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
+        let &Surface { position, error, ng, .. } = self.point.surface;
+        Gloss {
+            world: self.world,
+            lobe: &self.lobe,
+            point: sampled(self.point, self.bsdf),
+            // All that are traced are on the normal's side.
+            origin: offset_origin(position, error, ng, ng),
+            rays: self.shares.gloss + self.shares.lobe,
         }
-        let surface = self.point.surface;
-        let seed = random::combine(self.point.numbers.seed, 0x6105);
-        let numbers = Numbers { seed, ..self.point.numbers };
-        let point = Point { numbers, ..sampled(self.point, self.bsdf) };
-        self.world.sampler.draw_gloss(&point, self.shares.gloss, draws);
-        let Draws { dir, radiance, pdf, target, .. } = draws;
-        let n = dir.len() as f32;
-        let origin = offset_origin(surface.position, surface.error, surface.ng, surface.ng);
-        for first in (0..dir.len()).step_by(LANES) {
-            let seen = dispatch(Look::<LANES> { lobe: &self.lobe, dir: dir.rows(), first });
-            for (i, &pdf) in pdf.iter().enumerate().skip(first).take(LANES) {
-                let (dir, cosine, target) = (dir.get(i), seen.cosine[i - first], target.get(i));
-                if cosine <= 0.0 || dir.dot(surface.ng) <= 0.0 {
-                    target.into_iter().for_each(|&target| queue.hide(target));
-                    continue;
-                }
-                let both = n * pdf + self.shares.lobe as f32 * seen.pdf[i - first];
-                let specular = self.lobe.reflectance(&seen, i - first);
-                queue.push(Ray::new(origin, dir), radiance.get(i) * specular * (cosine / both));
-                queue.targets.extend(target);
-            }
-        }
+        .queue(draws, queue)
     }
 
     /// Directions from the lobe.
@@ -288,11 +277,11 @@ impl Shade<'_> {
     fn lobe_by<const N: usize>(&self, draws: &mut Draws, queue: &mut Queue) {
         let surface = self.point.surface;
         let numbers = Numbers { seed: random::combine(self.point.numbers.seed, 0x10be), ..self.point.numbers };
-        let Shares { gloss, lobe: of, .. } = self.shares;
+        let of = self.shares.lobe;
         let World { sampler, dome, .. } = *self.world;
         let diffuse = if sampler.needs_partner() { self.bsdf.diffuse * FRAC_1_PI } else { Vec3::ZERO };
         // Those drawn last share the specular term.
-        let others = if gloss == 0 && self.is_apart() { 0.0 } else { draws.dir.len() as f32 };
+        let others = if self.is_apart() { 0.0 } else { draws.dir.len() as f32 };
         let point = sampled(self.point, self.bsdf);
         for first in (0..of).step_by(N) {
             let count = (of - first).min(N as u32) as usize;
@@ -301,9 +290,7 @@ impl Shade<'_> {
             let (dir, texel) = (&dir[..count], &texel[..count]);
             texel.iter().for_each(|&texel| prefetch(&dome.texels, texel as usize));
             let mut dome_pdf = [0.0; N];
-            if others > 0.0 && gloss > 0 {
-                sampler.pdf_gloss(draws, dir, texel, &mut dome_pdf[..count]);
-            } else if others > 0.0 {
+            if others > 0.0 {
                 for (pdf, (&dir, &texel)) in dome_pdf.iter_mut().zip(dir.iter().zip(texel)) {
                     *pdf = sampler.pdf(&point, draws, dir, texel);
                 }

@@ -36,9 +36,24 @@ impl Lobe {
     pub(super) fn reflectance<const N: usize>(&self, seen: &Seen<N>, i: usize) -> Vec3 {
         self.specular.map_or(Vec3::ZERO, |lobe| lobe.f0 * seen.body[i] + lobe.f90 * seen.rim[i])
     }
+
+    /// The same of all of them, a row a channel.
+    #[inline(always)]
+    pub(super) fn reflectances<const N: usize>(&self, seen: &Seen<N>) -> [[f32; N]; 3] {
+        let mut rows = [[0.0; N]; 3];
+        if let Some(lobe) = self.specular {
+            for (row, f0) in rows.iter_mut().zip(lobe.f0.to_array()) {
+                for i in 0..N {
+                    row[i] = f0 * seen.body[i] + lobe.f90 * seen.rim[i];
+                }
+            }
+        }
+        rows
+    }
 }
 
 /// How a lobe sees directions.
+#[derive(Debug)]
 pub(super) struct Seen<const N: usize> {
     /// Cosine to the normal.
     pub(super) cosine: [f32; N],
@@ -97,6 +112,7 @@ impl<const N: usize> Kernel for Look<'_, N> {
 }
 
 /// Directions that a lobe proposes.
+#[derive(Debug)]
 pub(super) struct Proposed<const N: usize> {
     pub(super) dir: [Vec3; N],
     /// The dome's texels that they point at.

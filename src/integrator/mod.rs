@@ -5,9 +5,12 @@
 
 pub mod ao;
 pub mod direct;
+mod gloss;
 mod lambert;
 mod lobe;
 pub mod visibility;
+
+pub use gloss::Candidates;
 
 use crate::accel::{Accel, Ray};
 use crate::dome::Dome;
@@ -75,6 +78,8 @@ pub struct Queue {
     pub hidden: Vec<(u32, u32)>,
     /// The camera sample that is being shaded.
     pub sample: u32,
+    /// Scratch: directions that a lobe might take.
+    pub candidates: Candidates,
 }
 
 impl Queue {

@@ -116,6 +116,8 @@ pub struct Prepared {
     pub lobe: tessellated::Weights,
     /// Whose these are.
     pub glimpse: tessellated::Glimpse,
+    /// Where the lobe's rays are counted.
+    pub target: u32,
     /// The sketch's form of it: the counts of triangles.
     pub counts: tessellated::Counts,
     /// The tessellated sampler's record of the shadow cache, last read.
@@ -141,6 +143,23 @@ impl Draws {
         self.control.clear();
         self.target.clear();
         self.integral = Vec3::ZERO;
+    }
+}
+
+/// What a sampler that knows where lobes look knows of a direction.
+#[derive(Debug, Clone, Copy)]
+pub struct Glossy {
+    /// The density with which [`DomeSampler::draw_gloss`] draws it, steradians⁻¹.
+    pub pdf: f32,
+    /// What share of the light is expected to arrive from there, if anything was learned.
+    pub visible: f32,
+    /// What [`DomeSampler::observe`] counts a ray towards.
+    pub target: u32,
+}
+
+impl Default for Glossy {
+    fn default() -> Self {
+        Self { pdf: 0.0, visible: 0.0, target: shadow_cache::NO_TARGET }
     }
 }
 
@@ -190,14 +209,18 @@ pub trait DomeSampler: Debug + Send + Sync {
     }
 
     /// Draws at most `n` directions by the light that the point's specular lobe sees, as [`Self::draw`] does by
-    /// irradiance, but that its density may be 0 where light comes from, and that there may be none.
+    /// irradiance, but that its density may be 0 where light comes from, and that there may be none. [`Draws::control`] is
+    /// what share of the light is expected to arrive from each, empty where nothing was learned.
     fn draw_gloss(&self, _point: &Point, _n: u32, out: &mut Draws) {
         out.clear();
     }
 
-    /// The density with which [`Self::draw_gloss`] last drew each direction of `dir`, which lie in these texels.
-    fn pdf_gloss(&self, _drawn: &Draws, _dir: &[Vec3], _texel: &[u32], pdf: &mut [f32]) {
-        pdf.fill(0.0);
+    /// Says that [`Self::glossy`] will be asked of these directions soon.
+    fn ask_for(&self, _dir: &[Vec3], _texel: &[u32]) {}
+
+    /// What is known of directions that [`Self::draw_gloss`] might have drawn when last called, which lie in these texels.
+    fn glossy(&self, _drawn: &Draws, _dir: &[Vec3], _texel: &[u32], glossy: &mut [Glossy]) {
+        glossy.fill(Glossy::default());
     }
 
     /// Whether [`Self::expected`] has anything to go by yet.

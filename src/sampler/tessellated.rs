@@ -44,7 +44,8 @@ use super::cells::DomeCells;
 use super::preconvolution::Preconvolution;
 use super::shadow_cache::ShadowCache;
 use super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
-use super::{DomeSampler, Draws, MakeSampler, Point, SamplerStats, Setup};
+use super::shadow_cache::NO_TARGET;
+use super::{DomeSampler, Draws, Glossy, MakeSampler, Point, Prepared, SamplerStats, Setup};
 use crate::dome::Dome;
 use crate::error::{Error, Result};
 use crate::registry::{Kind, Opt, Params, Plugin};
@@ -329,30 +330,40 @@ impl DomeSampler for Tessellated {
             });
             out.prepared.glimpse = asked;
         }
+        out.prepared.target = target;
         if weights.total == 0 {
             return;
         }
-        self.walk_by(&Asked::new(point, n), target, out);
+        self.walk_by(&Asked::new(point, n), (target, record.map(|record| record.visibility)), out);
     }
 
-    fn pdf_gloss(&self, drawn: &Draws, dir: &[Vec3], texel: &[u32], pdf: &mut [f32]) {
-        let weights = &drawn.prepared.lobe;
+    fn ask_for(&self, dir: &[Vec3], texel: &[u32]) {
+        for (&dir, &texel) in dir.iter().zip(texel) {
+            self.owners.ask_for(self.cells.cell(dir, texel));
+        }
+    }
+
+    fn glossy(&self, drawn: &Draws, dir: &[Vec3], texel: &[u32], glossy: &mut [Glossy]) {
+        let Prepared { lobe: weights, glimpse, target, .. } = &drawn.prepared;
         if self.owners.is_empty() || weights.total == 0 {
-            pdf.fill(0.0);
+            glossy.fill(Glossy::default());
             return;
         }
+        let visibility = glimpse.record.map(|slot| self.memory.visibility(slot));
         let by_all = 1.0 / (f64::from(weights.total) * f64::from(COUNTS));
-        for ((dir, texel), pdf) in dir.chunks(ASKED).zip(texel.chunks(ASKED)).zip(pdf.chunks_mut(ASKED)) {
+        for ((dir, texel), glossy) in dir.chunks(ASKED).zip(texel.chunks(ASKED)).zip(glossy.chunks_mut(ASKED)) {
             let mut cells = [0; ASKED];
             for ((cell, &dir), &texel) in cells.iter_mut().zip(dir).zip(texel) {
                 *cell = self.cells.cell(dir, texel);
-                self.owners.ask_for(*cell);
             }
-            for (pdf, &cell) in pdf.iter_mut().zip(&cells) {
+            for (glossy, &cell) in glossy.iter_mut().zip(&cells) {
                 let (energy, group) = (self.cells.energy(cell), self.owners.slot(cell) / LEAVES_A_GROUP);
                 let width = f64::from(self.texels.counts_by_energy(group, cell, energy));
                 let density = f64::from(weights.widths[group]) * width * by_all / self.cells.solid_angle(cell);
-                *pdf = if energy > 0.0 { density as f32 } else { 0.0 };
+                let pdf = if energy > 0.0 { density as f32 } else { 0.0 };
+                let target = if *target == NO_TARGET { NO_TARGET } else { *target + group as u32 };
+                let visible = visibility.map_or(0.0, |visibility| f32::from(visibility[group]) * (1.0 / 255.0));
+                *glossy = Glossy { pdf, visible, target };
             }
         }
     }
@@ -445,9 +456,9 @@ mod tests {
     }
 
     fn pdf_gloss(sampler: &Tessellated, draws: &Draws, dir: Vec3, texel: u32) -> f32 {
-        let mut pdf = [0.0];
-        sampler.pdf_gloss(draws, &[dir], &[texel], &mut pdf);
-        pdf[0]
+        let mut glossy = [Glossy::default()];
+        sampler.glossy(draws, &[dir], &[texel], &mut glossy);
+        glossy[0].pdf
     }
 
     fn grey(width: u32, height: u32) -> Arc<Dome> {

@@ -28,7 +28,7 @@ pub struct Glimpse {
     version: u64,
     pixel: [u32; 2],
     seed: u32,
-    record: Option<u32>,
+    pub(super) record: Option<u32>,
     normal: Vec3,
     wo: Vec3,
     alpha: f32,

@@ -135,7 +135,8 @@ impl Tessellated {
         }
         let control = record.is_some().then_some(control);
         let listens = self.listens();
-        let mut lists = Lists { dir, radiance, pdf, control, targets, target: begun.target, listens };
+        let mut lists =
+            Lists { dir, radiance, pdf, control, visibility: None, targets, target: begun.target, listens };
         let weights = (weights, leaves);
         if asked.are_few() {
             let Blocks { first, rest: [rest, _] } = few;
@@ -147,9 +148,11 @@ impl Tessellated {
     }
 
     /// Directions for a point's lobe.
-    pub(super) fn walk_by(&self, asked: &Asked, target: u32, out: &mut Draws) {
-        let Draws { dir, radiance, pdf, target: targets, prepared: Prepared { lobe, walk, .. }, .. } = out;
-        let mut lists = Lists { dir, radiance, pdf, control: None, targets, target, listens: self.listens() };
+    pub(super) fn walk_by(&self, asked: &Asked, (target, visibility): (u32, Option<&[u8]>), out: &mut Draws) {
+        let Draws { dir, radiance, pdf, control, target: targets, prepared: Prepared { lobe, walk, .. }, .. } = out;
+        let control = visibility.is_some().then_some(control);
+        let listens = self.listens();
+        let mut lists = Lists { dir, radiance, pdf, control, visibility, targets, target, listens };
         let Walk { many, few, leaves, .. } = walk;
         if asked.are_few() {
             self.descend((lobe, leaves), asked, Stage::Asked, few.rest.each_mut(), &mut lists);
@@ -211,6 +214,8 @@ struct Lists<'a> {
     pdf: &'a mut Vec<f32>,
     /// The control variate, if there is one.
     control: Option<&'a mut Vec<f32>>,
+    /// For a lobe, in its place: the groups' visibility in 255ths.
+    visibility: Option<&'a [u8]>,
     targets: &'a mut Vec<u32>,
     target: u32,
     listens: bool,
@@ -228,7 +233,11 @@ impl Lists<'_> {
         self.pdf.extend_from_slice(&block.pdf);
         self.pdf.truncate(end);
         if let Some(control) = &mut self.control {
-            control.extend_from_slice(&block.factor);
+            match self.visibility {
+                Some(visibility) => control
+                    .extend(block.group[..block.count].iter().map(|&g| f32::from(visibility[g as usize]) * (1.0 / 255.0))),
+                None => control.extend_from_slice(&block.factor),
+            }
             control.truncate(end);
         }
         if self.listens {
@@ -273,7 +282,8 @@ mod tests {
         let mut draws = Draws::default();
         let Draws { dir, radiance, pdf, control, target: targets, .. } = &mut draws;
         let control = Some(control);
-        let mut lists = Lists { dir, radiance, pdf, control, targets, target: 7, listens: true };
+        let mut lists =
+            Lists { dir, radiance, pdf, control, visibility: None, targets, target: 7, listens: true };
         let (mut block, mut ahead) = (Block::<N>::default(), Block::default());
         let mut leaves = LeafMemo::default();
         let blocks = [&mut block, &mut ahead];
