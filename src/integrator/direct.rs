@@ -72,11 +72,8 @@ impl Integrator for Direct {
         };
         let mut light = shade.dome(draws, queue);
         if !self.mirrors(surface, world.sampler) {
-            if shade.shares.gloss > 0 {
-                light += shade.gloss(draws, queue);
-            } else {
-                shade.lobe(draws, queue);
-            }
+            light += shade.gloss(draws, queue);
+            shade.lobe(draws, queue);
         }
         surface.emission + light
     }
@@ -135,19 +132,19 @@ fn sampled(point: &Shading<'_>, bsdf: Bsdf) -> Point {
     Point { pixel, distance, ng: surface.ng, ns: surface.ns, wo, bsdf, numbers }
 }
 
-/// How many directions come from where.
+/// How many rays go where.
 #[derive(Debug, Clone, Copy)]
 struct Shares {
-    /// From the dome by irradiance: the diffuse term's, and the specular one's where `gloss` has none.
+    /// To directions drawn from the dome by irradiance: the diffuse term's, and the specular one's if there are no `gloss`.
     dome: u32,
-    /// From the dome as the specular lobe sees it.
+    /// To candidates for the specular term.
     gloss: u32,
-    /// From the surface.
+    /// To directions drawn from the surface.
     lobe: u32,
 }
 
 impl Shares {
-    /// Of the rays asked for; where there are few, each has one at least.
+    /// Of the rays asked for; where there are few, each term has one at least.
     fn new(point: &Shading<'_>, bsdf: &Bsdf, sampler: &dyn DomeSampler) -> Self {
         let rays = point.rays;
         if sampler.needs_partner() {
@@ -160,21 +157,16 @@ impl Shares {
         // How much of what is reflected the lobe reflects.
         let shine = specular / (diffuse + specular);
         let mirror = lobe.alpha < NARROW;
-        let by_irradiance = !sampler.sees_gloss() || (lobe.alpha >= WIDE && shine < 0.5);
-        if !mirror && by_irradiance {
-            // These serve both terms: from a quarter to half of all come from the lobe.
+        if !mirror && !sampler.sees_gloss() {
+            // Directions by irradiance serve both terms: from a quarter to half of all come from the lobe.
             let lobe = ((rays as f32 * 0.25 * (1.0 + shine)).round() as u32).max(1);
             return Self { dome: rays.saturating_sub(lobe).max(1), gloss: 0, lobe };
         }
-        // The lobe's have a quarter each at least: what it shows is narrower, and knows no control variate.
-        let quarter = (rays / 4).max(1);
-        let most = rays.saturating_sub(if mirror { quarter } else { 2 * quarter });
+        // The lobe has a quarter at least: what it shows is narrower, and knows no exact integral.
+        let most = rays.saturating_sub((rays / 4).max(1));
         let dome = ((rays as f32 * (1.0 - shine)).round() as u32).min(most).max(u32::from(diffuse > 0.0));
-        let left = rays.saturating_sub(dome);
-        if mirror {
-            return Self { dome, gloss: 0, lobe: left.max(1) };
-        }
-        Self { dome, gloss: left.div_ceil(2).max(1), lobe: (left / 2).max(1) }
+        let left = rays.saturating_sub(dome).max(1);
+        if mirror { Self { dome, gloss: 0, lobe: left } } else { Self { dome, gloss: left, lobe: 0 } }
     }
 }
 
@@ -252,6 +244,9 @@ impl Shade<'_> {
 
     /// Directions from the dome as the lobe sees it, and from the lobe; returns what they are known to bring.
     fn gloss(&self, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
+        if self.shares.gloss == 0 {
+            return Vec3::ZERO;
+        }
         let &Surface { position, error, ng, .. } = self.point.surface;
         Gloss {
             world: self.world,
@@ -259,7 +254,8 @@ impl Shade<'_> {
             point: sampled(self.point, self.bsdf),
             // All that are traced are on the normal's side.
             origin: offset_origin(position, error, ng, ng),
-            rays: self.shares.gloss + self.shares.lobe,
+            rays: self.shares.gloss,
+            asked: self.point.rays,
         }
         .queue(draws, queue)
     }

@@ -12,13 +12,16 @@ use super::{Queue, World};
 use crate::accel::Ray;
 use crate::random;
 use crate::sampler::shadow_cache::NO_TARGET;
-use crate::sampler::{Draws, Glossy, Numbers, Point};
+use crate::sampler::{Draws, Glossy, Numbers, Point, TOGETHER};
 use crate::simd::{Kernel, dispatch, prefetch};
 use crate::vectors::Vectors;
 use glam::Vec3;
 
 /// Candidates treated together.
-const LANES: usize = 8;
+const LANES: usize = TOGETHER;
+
+/// Candidates to a ray from the lobe, and as many from the dome, but no more than rays in all.
+const CANDIDATES: u32 = 2;
 
 /// The least that a candidate's doubt is scaled down to.
 const FLOOR: f32 = 0.05;
@@ -64,6 +67,8 @@ pub(super) struct Gloss<'a> {
     pub(super) origin: Vec3,
     /// Rays for the lobe.
     pub(super) rays: u32,
+    /// Rays asked for of all.
+    pub(super) asked: u32,
 }
 
 impl Gloss<'_> {
@@ -75,10 +80,8 @@ impl Gloss<'_> {
 
     /// Queues rays; returns what the point is known to reflect.
     pub(super) fn queue(&self, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
-        let env = |k: &str| -> u32 { std::env::var(k).ok().and_then(|v| v.parse().ok()).unwrap_or(16) };
-        thread_local! { static C: std::cell::OnceCell<[u32; 2]> = const { std::cell::OnceCell::new() }; }
-        let [cg, cl] = C.with(|c| *c.get_or_init(|| [env("CG"), env("CL")]));
-        let (of_dome, of_lobe) = ((self.rays * cg).div_ceil(16), (self.rays * cl).div_ceil(16));
+        let of_lobe = CANDIDATES * self.rays;
+        let of_dome = of_lobe.min(self.asked);
         let Self { world: World { sampler, dome, .. }, lobe, point, .. } = self;
         queue.candidates.clear();
         let numbers = self.numbers(0x10be);
@@ -141,22 +144,22 @@ impl Gloss<'_> {
         let n = draws.dir.len() as f32;
         let learned = !draws.control.is_empty();
         for (at, Proposed { dir, texel, seen }) in proposed.iter().enumerate() {
-            let mut glossy = [Glossy::default(); LANES];
-            sampler.glossy(draws, dir, texel, &mut glossy);
             let texels = texel.map(|texel| dome.texels[texel as usize]);
+            let radiance = [0, 1, 2].map(|channel| texels.map(|texel| texel[channel]));
+            let Glossy { pdf, visible, target } = sampler.glossy(draws, dir, texel, &radiance);
             dispatch(Weigh {
                 gloss: self,
                 seen,
                 numbers: [n, of_lobe as f32],
                 dir: [0, 1, 2].map(|axis| dir.map(|dir| dir[axis])),
-                radiance: [0, 1, 2].map(|channel| texels.map(|texel| texel[channel])),
-                pdf: glossy.map(|glossy| glossy.pdf),
-                visible: glossy.map(|glossy| glossy.visible),
+                radiance,
+                pdf,
+                visible,
                 learned,
                 count: LANES.min(of_lobe as usize - at * LANES),
                 candidates,
             });
-            candidates.target.extend_from_slice(&glossy.map(|glossy| glossy.target));
+            candidates.target.extend_from_slice(&target);
         }
         candidates.proposed = proposed;
     }

@@ -146,20 +146,23 @@ impl Draws {
     }
 }
 
-/// What a sampler that knows where lobes look knows of a direction.
+/// Directions that a sampler is asked about together.
+pub const TOGETHER: usize = 8;
+
+/// What a sampler that knows where lobes look knows of directions.
 #[derive(Debug, Clone, Copy)]
 pub struct Glossy {
-    /// The density with which [`DomeSampler::draw_gloss`] draws it, steradians⁻¹.
-    pub pdf: f32,
+    /// The density with which [`DomeSampler::draw_gloss`] draws each, steradians⁻¹.
+    pub pdf: [f32; TOGETHER],
     /// What share of the light is expected to arrive from there, if anything was learned.
-    pub visible: f32,
+    pub visible: [f32; TOGETHER],
     /// What [`DomeSampler::observe`] counts a ray towards.
-    pub target: u32,
+    pub target: [u32; TOGETHER],
 }
 
 impl Default for Glossy {
     fn default() -> Self {
-        Self { pdf: 0.0, visible: 0.0, target: shadow_cache::NO_TARGET }
+        Self { pdf: [0.0; TOGETHER], visible: [0.0; TOGETHER], target: [shadow_cache::NO_TARGET; TOGETHER] }
     }
 }
 
@@ -215,12 +218,19 @@ pub trait DomeSampler: Debug + Send + Sync {
         out.clear();
     }
 
-    /// Says that [`Self::glossy`] will be asked of these directions soon.
-    fn ask_for(&self, _dir: &[Vec3], _texel: &[u32]) {}
+    /// Says that [`Self::glossy`] will be asked about these directions soon, which lie in these texels.
+    fn ask_for(&self, _dir: &[Vec3; TOGETHER], _texel: &[u32; TOGETHER]) {}
 
-    /// What is known of directions that [`Self::draw_gloss`] might have drawn when last called, which lie in these texels.
-    fn glossy(&self, _drawn: &Draws, _dir: &[Vec3], _texel: &[u32], glossy: &mut [Glossy]) {
-        glossy.fill(Glossy::default());
+    /// What is known of directions that [`Self::draw_gloss`] might have drawn when last called. They lie in these texels, of
+    /// this radiance (a row a channel).
+    fn glossy(
+        &self,
+        _drawn: &Draws,
+        _dir: &[Vec3; TOGETHER],
+        _texel: &[u32; TOGETHER],
+        _radiance: &[[f32; TOGETHER]; 3],
+    ) -> Glossy {
+        Glossy::default()
     }
 
     /// Whether [`Self::expected`] has anything to go by yet.

@@ -44,8 +44,7 @@ use super::cells::DomeCells;
 use super::preconvolution::Preconvolution;
 use super::shadow_cache::ShadowCache;
 use super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
-use super::shadow_cache::NO_TARGET;
-use super::{DomeSampler, Draws, Glossy, MakeSampler, Point, Prepared, SamplerStats, Setup};
+use super::{DomeSampler, Draws, Glossy, MakeSampler, Point, Prepared, SamplerStats, Setup, TOGETHER};
 use crate::dome::Dome;
 use crate::error::{Error, Result};
 use crate::registry::{Kind, Opt, Params, Plugin};
@@ -53,7 +52,7 @@ use crate::simd::dispatch;
 use draw::MOST_AT_HORIZON;
 use expected::Expected;
 use glam::Vec3;
-use gloss::WeighLobe;
+use gloss::{LookUp, WeighLobe};
 use irradiance::{Irradiance, Sweep};
 use leaves::LeafCounts;
 use memory::Memory;
@@ -162,9 +161,6 @@ const NORMALS: u64 = 2304;
 /// Groups of the horizon with less than this share of the light are not taken apart leaf by leaf for a cell of normals: the
 /// control variate leaves them out.
 const TABLE_NOTABLE: f32 = 3e-5;
-
-/// Densities asked for together.
-const ASKED: usize = 8;
 
 /// A texel with more than so many times the light of all others leaves single precision no digits for them.
 const MOST_CONTRAST: f64 = 1e5;
@@ -283,7 +279,7 @@ impl DomeSampler for Tessellated {
         let slot = self.owners.slot(cell);
         let (group, leaf_of_group) = (slot / LEAVES_A_GROUP, slot % LEAVES_A_GROUP);
         let share = |width: u32, of: u32| if of == 0 { 0.0 } else { f64::from(width) / f64::from(of) };
-        let width = self.texels.counts_by_energy(group, cell, energy);
+        let [width] = self.texels.counts_by_energy(&[group], &[cell], &[energy]);
         // As `draw` chose them.
         let in_group = if weights.goes_by_energy(group) {
             share(width, COUNTS)
@@ -337,35 +333,25 @@ impl DomeSampler for Tessellated {
         self.walk_by(&Asked::new(point, n), (target, record.map(|record| record.visibility)), out);
     }
 
-    fn ask_for(&self, dir: &[Vec3], texel: &[u32]) {
+    fn ask_for(&self, dir: &[Vec3; TOGETHER], texel: &[u32; TOGETHER]) {
         for (&dir, &texel) in dir.iter().zip(texel) {
             self.owners.ask_for(self.cells.cell(dir, texel));
         }
     }
 
-    fn glossy(&self, drawn: &Draws, dir: &[Vec3], texel: &[u32], glossy: &mut [Glossy]) {
+    fn glossy(
+        &self,
+        drawn: &Draws,
+        dir: &[Vec3; TOGETHER],
+        texel: &[u32; TOGETHER],
+        radiance: &[[f32; TOGETHER]; 3],
+    ) -> Glossy {
         let Prepared { lobe: weights, glimpse, target, .. } = &drawn.prepared;
         if self.owners.is_empty() || weights.total == 0 {
-            glossy.fill(Glossy::default());
-            return;
+            return Glossy::default();
         }
-        let visibility = glimpse.record.map(|slot| self.memory.visibility(slot));
-        let by_all = 1.0 / (f64::from(weights.total) * f64::from(COUNTS));
-        for ((dir, texel), glossy) in dir.chunks(ASKED).zip(texel.chunks(ASKED)).zip(glossy.chunks_mut(ASKED)) {
-            let mut cells = [0; ASKED];
-            for ((cell, &dir), &texel) in cells.iter_mut().zip(dir).zip(texel) {
-                *cell = self.cells.cell(dir, texel);
-            }
-            for (glossy, &cell) in glossy.iter_mut().zip(&cells) {
-                let (energy, group) = (self.cells.energy(cell), self.owners.slot(cell) / LEAVES_A_GROUP);
-                let width = f64::from(self.texels.counts_by_energy(group, cell, energy));
-                let density = f64::from(weights.widths[group]) * width * by_all / self.cells.solid_angle(cell);
-                let pdf = if energy > 0.0 { density as f32 } else { 0.0 };
-                let target = if *target == NO_TARGET { NO_TARGET } else { *target + group as u32 };
-                let visible = visibility.map_or(0.0, |visibility| f32::from(visibility[group]) * (1.0 / 255.0));
-                *glossy = Glossy { pdf, visible, target };
-            }
-        }
+        let visibility = glimpse.record().map(|slot| self.memory.visibility(slot));
+        dispatch(LookUp { sampler: self, weights, visibility, target: *target, dir, texel, radiance })
     }
 
     fn learns(&self) -> bool {
@@ -456,9 +442,8 @@ mod tests {
     }
 
     fn pdf_gloss(sampler: &Tessellated, draws: &Draws, dir: Vec3, texel: u32) -> f32 {
-        let mut glossy = [Glossy::default()];
-        sampler.glossy(draws, &[dir], &[texel], &mut glossy);
-        glossy[0].pdf
+        let radiance = sampler.cells.dome().texels[texel as usize].map(|channel| [channel; TOGETHER]);
+        sampler.glossy(draws, &[dir; TOGETHER], &[texel; TOGETHER], &radiance).pdf[0]
     }
 
     fn grey(width: u32, height: u32) -> Arc<Dome> {

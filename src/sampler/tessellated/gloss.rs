@@ -4,10 +4,15 @@
 //! Directions drawn by it look for bright places inside a wide lobe: a window, a sun. What is dim, or in a corner of a
 //! large group, is left to the directions that the lobe itself draws, and weights of 0 are allowed.
 
+use super::Tessellated;
+use super::texels::COUNTS;
 use super::weights::{Weights, about_sqrt};
 use crate::bsdf::Specular;
-use crate::sampler::Point;
+use crate::dome::Dome;
 use crate::sampler::preconvolution::Preconvolution;
+use crate::sampler::shadow_cache::NO_TARGET;
+use crate::sampler::tessellation::{Cells, LEAVES_A_GROUP};
+use crate::sampler::{Glossy, Point, TOGETHER};
 use crate::simd::Kernel;
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
@@ -28,7 +33,7 @@ pub struct Glimpse {
     version: u64,
     pixel: [u32; 2],
     seed: u32,
-    pub(super) record: Option<u32>,
+    record: Option<u32>,
     normal: Vec3,
     wo: Vec3,
     alpha: f32,
@@ -39,6 +44,11 @@ impl Glimpse {
     pub(super) fn new(point: &Point, lobe: &Specular, version: u64, record: Option<u32>) -> Self {
         let Point { pixel, ns: normal, wo, numbers, .. } = *point;
         Self { version, pixel, seed: numbers.seed, record, normal, wo, alpha: lobe.alpha, f0: lobe.f0.element_sum() }
+    }
+
+    /// The record that their points read.
+    pub(super) fn record(&self) -> Option<u32> {
+        self.record
     }
 
     /// Whether its weights serve `other`: never those of another pixel, whose turn may have come in another tile.
@@ -104,6 +114,57 @@ impl Kernel for WeighLobe<'_> {
         }
         // As for one stratum: no group has its own.
         weights.count(1);
+    }
+}
+
+/// What is known of directions that weights of a lobe might have led to.
+pub(super) struct LookUp<'a> {
+    pub(super) sampler: &'a Tessellated,
+    pub(super) weights: &'a Weights,
+    /// The record's visibilities in 255ths, if the cache has one.
+    pub(super) visibility: Option<&'a [u8]>,
+    /// Where rays to the first group are counted.
+    pub(super) target: u32,
+    pub(super) dir: &'a [Vec3; TOGETHER],
+    pub(super) texel: &'a [u32; TOGETHER],
+    pub(super) radiance: &'a [[f32; TOGETHER]; 3],
+}
+
+impl Kernel for LookUp<'_> {
+    type Output = Glossy;
+
+    #[inline(always)]
+    fn run(self) -> Glossy {
+        let Self { sampler: Tessellated { cells, owners, texels, .. }, weights, visibility, target, .. } = self;
+        let (mut cell, mut group) = ([0; TOGETHER], [0; TOGETHER]);
+        let (mut solid_angle, mut weight) = ([0.0; TOGETHER], [0.0; TOGETHER]);
+        for i in 0..TOGETHER {
+            cell[i] = cells.cell(self.dir[i], self.texel[i]);
+            solid_angle[i] = cells.solid_angle(cell[i]);
+        }
+        let mut energy = [0.0; TOGETHER];
+        let [r, g, b] = self.radiance;
+        for i in 0..TOGETHER {
+            energy[i] = f64::from(Dome::weight([r[i], g[i], b[i]])) * solid_angle[i];
+        }
+        let mut glossy = Glossy::default();
+        for i in 0..TOGETHER {
+            group[i] = owners.slot(cell[i]) / LEAVES_A_GROUP;
+            weight[i] = f64::from(weights.widths[group[i]]);
+            glossy.target[i] = if target == NO_TARGET { NO_TARGET } else { target + group[i] as u32 };
+        }
+        if let Some(visibility) = visibility {
+            for i in 0..TOGETHER {
+                glossy.visible[i] = f32::from(visibility[group[i]]) * (1.0 / 255.0);
+            }
+        }
+        let width = texels.counts_by_energy(&group, &cell, &energy);
+        let by_all = 1.0 / (f64::from(weights.total) * f64::from(COUNTS));
+        for i in 0..TOGETHER {
+            let pdf = weight[i] * f64::from(width[i]) * by_all / solid_angle[i];
+            glossy.pdf[i] = if energy[i] > 0.0 { pdf as f32 } else { 0.0 };
+        }
+        glossy
     }
 }
 

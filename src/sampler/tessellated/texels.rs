@@ -122,11 +122,21 @@ impl Texels {
         counts(self.begins(), place)
     }
 
-    /// How many counts of its group a lit cell has, by its energy alone.
+    /// How many counts of their groups lit cells have, by their energy alone.
     #[inline(always)]
-    pub(super) fn counts_by_energy(&self, group: usize, cell: u32, energy: f64) -> u32 {
-        let sharing = &self.sharing[group];
-        sharing.counts(energy) + if cell == sharing.brightest { sharing.over } else { 0 }
+    pub(super) fn counts_by_energy<const N: usize>(
+        &self,
+        group: &[usize; N],
+        cell: &[u32; N],
+        energy: &[f64; N],
+    ) -> [u32; N] {
+        let sharing = group.map(|group| self.sharing[group]);
+        let mut counts = [0; N];
+        for i in 0..N {
+            let Sharing { brightest, over, .. } = sharing[i];
+            counts[i] = sharing[i].counts(energy[i]) + if cell[i] == brightest { over } else { 0 };
+        }
+        counts
     }
 
     /// The cells along the curve.
