@@ -1,11 +1,11 @@
 //! Specular lobes: more directions than rays.
 //!
-//! What a direction would bring is cheap to know: the dome's texel, the lobe, both densities (the dome's as the lobe sees
-//! it and the lobe's own, by the balance heuristic). So there are several candidates to a ray, and their sum is what the point
-//! reflects where all is visible. The shadow cache says what share m of each is expected to arrive: Σ m·w needs no ray.
-//! Rays go where that is in doubt, √(m (1 − m)) of the light, and correct it: candidate i is traced with probability πᵢ
-//! and counts (V − m) wᵢ/πᵢ. Whatever m is, the mean is that of Σ V·w (Horvitz & Thompson 1952; systematic sampling, so
-//! that neighbours among the candidates are not traced together).
+//! What a direction would bring if it arrives is cheap to know: the dome's texel there, the lobe, and how likely it was to
+//! be taken, by the dome's light as the lobe sees it or by the lobe itself (balance heuristic). So there are several
+//! *candidates* to a ray, and without shadows there is no noise but theirs. The shadow cache says which share m of each, w, is
+//! expected to arrive: Σ m·w needs no ray. Rays go where that is in doubt, by √(m (1 − m)) of w, and correct it: a
+//! candidate that is traced with probability π counts (V − m) w/π (Horvitz & Thompson 1952). Whatever m is, the mean is
+//! that of Σ V·w. Sampling is systematic: candidates beside each other are not traced together.
 
 use super::lobe::{Lobe, Look, Propose, Proposed, Seen};
 use super::{Queue, World};
@@ -20,30 +20,34 @@ use glam::Vec3;
 /// Candidates treated together.
 const LANES: usize = TOGETHER;
 
-/// Candidates to a ray from the lobe, and as many from the dome, but no more than rays in all.
+/// Candidates to a ray: so many from the lobe, and as many from the dome, but of these no more than a sample has rays.
 const CANDIDATES: u32 = 2;
 
 /// The least that a candidate's doubt is scaled down to.
-const FLOOR: f32 = 0.05;
+const FLOOR: f32 = 0.1;
 
-/// What a probability of 1 counts.
+/// Counts of a probability of 1.
 const SURE: u32 = 1 << 21;
 
-/// A point's candidates, whole registers of them; what fills up the last one brings nothing.
+/// What is left of them for candidates by their doubt, so that with a count for each that has any they are never more than
+/// those of the rays.
+const BY_DOUBT: f32 = 0.9999 * SURE as f32;
+
+/// A point's candidates in whole registers; what fills up the last of them brings nothing.
 #[derive(Debug, Default)]
 pub struct Candidates {
     dir: Vectors,
     /// What each brings if it arrives.
     brings: Vectors,
-    /// The share of that which is expected to arrive.
+    /// The share of that which is expected to.
     visible: Vec<f32>,
-    /// What it brings by how much in doubt it is.
+    /// How far that is in doubt.
     doubt: Vec<f32>,
     target: Vec<u32>,
-    /// Those of the lobe, before the dome's are drawn.
+    /// The lobe's, while the dome's are drawn.
     proposed: Vec<Proposed<LANES>>,
-    /// Which are traced, and with which probability in counts.
-    picked: Vec<[u32; 2]>,
+    /// Which are traced, each with the counts of its probability.
+    picked: Vec<(u32, u32)>,
 }
 
 impl Candidates {
@@ -65,182 +69,195 @@ pub(super) struct Gloss<'a> {
     pub(super) point: Point,
     /// Where its rays begin.
     pub(super) origin: Vec3,
-    /// Rays for the lobe.
+    /// Rays for the lobe, and for all of the sample.
     pub(super) rays: u32,
-    /// Rays asked for of all.
-    pub(super) asked: u32,
+    pub(super) of: u32,
 }
 
 impl Gloss<'_> {
+    /// Queues rays; returns what is added whatever they meet.
+    pub(super) fn queue(&self, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
+        let of_lobe = CANDIDATES * self.rays;
+        let of_dome = of_lobe.min(self.of);
+        let candidates = &mut queue.candidates;
+        candidates.clear();
+        // What they read of memory comes while the dome's are drawn.
+        self.propose(of_lobe, candidates);
+        let point = Point { numbers: self.numbers(0x6105), ..self.point };
+        self.world.sampler.draw_gloss(&point, of_dome, draws);
+        self.add_drawn(of_lobe, draws, candidates);
+        self.add_proposed(of_lobe, draws, candidates);
+        let start = self.numbers(0x7e51).within_stratum(0);
+        dispatch(Pick { rays: self.rays, start, candidates });
+        let expected = dispatch(Expect { candidates });
+        expected - self.trace(queue)
+    }
+
     /// Numbers for a purpose of their own.
     fn numbers(&self, purpose: u32) -> Numbers {
         let Numbers { seed, sample } = self.point.numbers;
         Numbers { seed: random::combine(seed, purpose), sample }
     }
 
-    /// Queues rays; returns what the point is known to reflect.
-    pub(super) fn queue(&self, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
-        let of_lobe = CANDIDATES * self.rays;
-        let of_dome = of_lobe.min(self.asked);
-        let Self { world: World { sampler, dome, .. }, lobe, point, .. } = self;
-        queue.candidates.clear();
+    fn propose(&self, of: u32, candidates: &mut Candidates) {
+        let World { sampler, dome, .. } = self.world;
         let numbers = self.numbers(0x10be);
-        for first in (0..of_lobe).step_by(LANES) {
-            let proposed = dispatch(Propose::<LANES> { lobe, grid: dome.grid, numbers, first, of: of_lobe });
+        for first in (0..of).step_by(LANES) {
+            let proposed = dispatch(Propose::<LANES> { lobe: self.lobe, grid: dome.grid, numbers, first, of });
             proposed.texel.iter().for_each(|&texel| prefetch(&dome.texels, texel as usize));
             sampler.ask_for(&proposed.dir, &proposed.texel);
-            queue.candidates.proposed.push(proposed);
+            candidates.proposed.push(proposed);
         }
-        sampler.draw_gloss(&Point { numbers: self.numbers(0x6105), ..*point }, of_dome, draws);
-        self.drawn(of_lobe as f32, draws, &mut queue.candidates);
-        self.proposed(of_lobe, draws, &mut queue.candidates);
-        let known = dispatch(Pick { rays: self.rays, start: self.numbers(0x7e51).within_stratum(0), candidates: &mut queue.candidates });
-        self.trace(known, queue)
     }
 
-    /// Weighs those that were drawn from the dome.
-    fn drawn(&self, of_lobe: f32, draws: &Draws, candidates: &mut Candidates) {
+    fn add_drawn(&self, of_lobe: u32, draws: &Draws, candidates: &mut Candidates) {
         let Draws { dir, radiance, pdf, control, target, .. } = draws;
-        let n = dir.len() as f32;
+        let rows = |rows: [&[f32]; 3], first| rows.map(|row| lanes(row, first, 0.0));
         for first in (0..dir.len()).step_by(LANES) {
-            let count = LANES.min(dir.len() - first);
-            let of = first..first + count;
             let seen = dispatch(Look::<LANES> { lobe: self.lobe, dir: dir.rows(), first });
-            let (mut visible, mut pdfs, mut targets) = ([0.0; LANES], [0.0; LANES], [NO_TARGET; LANES]);
-            pdfs[..count].copy_from_slice(&pdf[of.clone()]);
-            if !control.is_empty() {
-                visible[..count].copy_from_slice(&control[of.clone()]);
-            }
-            if !target.is_empty() {
-                targets[..count].copy_from_slice(&target[of.clone()]);
-            }
-            let rows = |rows: [&[f32]; 3]| {
-                rows.map(|row| {
-                    let mut lanes = [0.0; LANES];
-                    lanes[..count].copy_from_slice(&row[of.clone()]);
-                    lanes
-                })
-            };
-            dispatch(Weigh {
-                gloss: self,
-                seen: &seen,
-                numbers: [n, of_lobe],
-                dir: rows(dir.rows()),
-                radiance: rows(radiance.rows()),
-                pdf: pdfs,
-                visible,
-                learned: !control.is_empty(),
-                count,
-                candidates,
-            });
-            candidates.target.extend_from_slice(&targets);
+            let target = lanes(target, first, NO_TARGET);
+            let glossy = Glossy { pdf: lanes(pdf, first, 0.0), visible: lanes(control, first, 0.0), target };
+            let (dir, radiance) = (rows(dir.rows(), first), rows(radiance.rows(), first));
+            self.add((&dir, &radiance, &seen, &glossy), (draws, of_lobe, pdf.len() - first), candidates);
         }
     }
 
-    /// Weighs those that the lobe has proposed.
-    fn proposed(&self, of_lobe: u32, draws: &Draws, candidates: &mut Candidates) {
+    fn add_proposed(&self, of_lobe: u32, draws: &Draws, candidates: &mut Candidates) {
         let World { sampler, dome, .. } = self.world;
         let proposed = std::mem::take(&mut candidates.proposed);
-        let n = draws.dir.len() as f32;
-        let learned = !draws.control.is_empty();
-        for (at, Proposed { dir, texel, seen }) in proposed.iter().enumerate() {
+        for (first, Proposed { dir, texel, seen }) in (0..).step_by(LANES).zip(&proposed) {
             let texels = texel.map(|texel| dome.texels[texel as usize]);
             let radiance = [0, 1, 2].map(|channel| texels.map(|texel| texel[channel]));
-            let Glossy { pdf, visible, target } = sampler.glossy(draws, dir, texel, &radiance);
-            dispatch(Weigh {
-                gloss: self,
-                seen,
-                numbers: [n, of_lobe as f32],
-                dir: [0, 1, 2].map(|axis| dir.map(|dir| dir[axis])),
-                radiance,
-                pdf,
-                visible,
-                learned,
-                count: LANES.min(of_lobe as usize - at * LANES),
-                candidates,
-            });
-            candidates.target.extend_from_slice(&target);
+            let glossy = sampler.glossy(draws, dir, texel, &radiance);
+            self.add((dir, &radiance, seen, &glossy), (draws, of_lobe, of_lobe as usize - first), candidates);
         }
         candidates.proposed = proposed;
     }
 
-    /// Queues those that were picked.
-    fn trace(&self, mut known: Vec3, queue: &mut Queue) -> Vec3 {
-        let Queue { candidates: Candidates { dir, brings, visible, target, picked, .. }, rays, contributions, targets, .. } = queue;
+    /// Adds as many as there are, a register at most.
+    #[inline]
+    fn add(
+        &self,
+        (dir, radiance, seen, glossy): (&[[f32; LANES]; 3], &[[f32; LANES]; 3], &Seen<LANES>, &Glossy),
+        (draws, of_lobe, count): (&Draws, u32, usize),
+        candidates: &mut Candidates,
+    ) {
+        let (of_dome, of_lobe) = (draws.dir.len() as f32, of_lobe as f32);
+        let learned = !draws.control.is_empty();
+        let weigh = Weigh { gloss: self, dir, radiance, seen, glossy, of_dome, of_lobe, learned, count };
+        let (brings, doubt) = dispatch(weigh);
+        candidates.dir.extend(dir);
+        candidates.brings.extend(&brings);
+        candidates.visible.extend_from_slice(&glossy.visible);
+        candidates.doubt.extend_from_slice(&doubt);
+        candidates.target.extend_from_slice(&glossy.target);
+    }
+
+    /// Queues those that were picked; returns what was expected of them, which rays now tell.
+    fn trace(&self, queue: &mut Queue) -> Vec3 {
+        let Queue { candidates, rays, contributions, targets, .. } = queue;
+        let Candidates { dir, brings, visible, target, picked, .. } = candidates;
         let listens = self.world.sampler.listens();
-        for &[i, width] in &*picked {
+        let mut expected = Vec3::ZERO;
+        for &(i, counts) in &*picked {
             let i = i as usize;
-            let arrives = brings.get(i) * (SURE as f32 / width as f32);
-            known -= arrives * visible[i];
+            let brings = brings.get(i) * (SURE as f32 / counts as f32);
+            expected += brings * visible[i];
             rays.push(Ray::new(self.origin, dir.get(i)));
-            contributions.push(arrives);
+            contributions.push(brings);
             if listens {
                 targets.push(target[i]);
             }
         }
         let count = picked.len() as u32;
-        if count > 0 {
-            queue.add(count);
-        }
-        known
+        queue.add(count);
+        expected
     }
 }
 
-/// What candidates bring, and how much in doubt that is.
+/// A register of a list from `first` on, filled up where it ends.
+#[inline(always)]
+fn lanes<T: Copy>(list: &[T], first: usize, fill: T) -> [T; LANES] {
+    let mut lanes = [fill; LANES];
+    let there = &list[first.min(list.len())..];
+    let count = there.len().min(LANES);
+    lanes[..count].copy_from_slice(&there[..count]);
+    lanes
+}
+
+/// What candidates bring, and how far that is in doubt.
 struct Weigh<'a> {
     gloss: &'a Gloss<'a>,
+    dir: &'a [[f32; LANES]; 3],
+    radiance: &'a [[f32; LANES]; 3],
     seen: &'a Seen<LANES>,
-    /// How many are drawn from the dome and how many from the lobe.
-    numbers: [f32; 2],
-    dir: [[f32; LANES]; 3],
-    radiance: [[f32; LANES]; 3],
-    /// With which density the dome's are drawn.
-    pdf: [f32; LANES],
-    visible: [f32; LANES],
+    glossy: &'a Glossy,
+    /// How many are drawn from the dome, and how many from the lobe.
+    of_dome: f32,
+    of_lobe: f32,
     /// Whether anything is known of what is visible.
     learned: bool,
-    /// How many there are.
+    /// Those beyond do not count.
     count: usize,
-    candidates: &'a mut Candidates,
 }
 
 impl Kernel for Weigh<'_> {
-    type Output = ();
+    type Output = ([[f32; LANES]; 3], [f32; LANES]);
 
     #[inline(always)]
-    fn run(self) {
-        let Self { gloss, seen, numbers: [of_dome, of_lobe], dir, radiance, pdf, visible, learned, count, candidates } = self;
+    fn run(self) -> Self::Output {
+        let Self { gloss, dir: [x, y, z], seen, glossy: Glossy { pdf, visible, .. }, of_dome, of_lobe, .. } = self;
         let ng = gloss.point.ng;
         let mut share = [0.0; LANES];
         for i in 0..LANES {
-            let above = dir[0][i] * ng.x + dir[1][i] * ng.y + dir[2][i] * ng.z;
-            let cosine = seen.cosine[i];
-            let of_light = cosine / (of_dome * pdf[i] + of_lobe * seen.pdf[i]);
+            let (cosine, above) = (seen.cosine[i], x[i] * ng.x + y[i] * ng.y + z[i] * ng.z);
+            let by_density = cosine / (of_dome * pdf[i] + of_lobe * seen.pdf[i]);
             // What is no number is not hidden: it is found out and counted.
-            let hidden = cosine <= 0.0 || above <= 0.0 || i >= count;
-            share[i] = if hidden { 0.0 } else { of_light };
+            let hidden = cosine <= 0.0 || above <= 0.0 || i >= self.count;
+            share[i] = if hidden { 0.0 } else { by_density };
         }
-        let mut brings = [[0.0; LANES]; 3];
-        let reflectance = gloss.lobe.reflectances(seen);
-        for ((brings, radiance), reflectance) in brings.iter_mut().zip(&radiance).zip(&reflectance) {
+        let mut brings = gloss.lobe.reflectances(seen);
+        for (brings, radiance) in brings.iter_mut().zip(self.radiance) {
             for i in 0..LANES {
-                brings[i] = if share[i] == 0.0 { 0.0 } else { radiance[i] * reflectance[i] * share[i] };
+                brings[i] = if share[i] == 0.0 { 0.0 } else { brings[i] * radiance[i] * share[i] };
             }
         }
         let mut doubt = [0.0; LANES];
         for i in 0..LANES {
             let spread = (visible[i] * (1.0 - visible[i])).sqrt();
             let spread = if spread > FLOOR { spread } else { FLOOR };
-            doubt[i] = (brings[0][i] + brings[1][i] + brings[2][i]) * if learned { spread } else { 1.0 };
+            doubt[i] = (brings[0][i] + brings[1][i] + brings[2][i]) * if self.learned { spread } else { 1.0 };
         }
-        candidates.dir.extend(&dir);
-        candidates.brings.extend(&brings);
-        candidates.visible.extend_from_slice(&visible);
-        candidates.doubt.extend_from_slice(&doubt);
+        (brings, doubt)
     }
 }
 
-/// Picks candidates for so many rays; returns what all are expected to bring.
+/// What candidates are expected to bring, all together.
+struct Expect<'a> {
+    candidates: &'a Candidates,
+}
+
+impl Kernel for Expect<'_> {
+    type Output = Vec3;
+
+    #[inline(always)]
+    fn run(self) -> Vec3 {
+        let Candidates { brings, visible, .. } = self.candidates;
+        let (visible, _) = visible.as_chunks::<LANES>();
+        let sum = |row: &[f32]| {
+            let mut sums = [0.0; LANES];
+            for (brings, visible) in row.as_chunks::<LANES>().0.iter().zip(visible) {
+                for i in 0..LANES {
+                    sums[i] += brings[i] * visible[i];
+                }
+            }
+            sums.iter().sum::<f32>()
+        };
+        Vec3::from(brings.rows().map(sum))
+    }
+}
+
+/// Picks candidates for so many rays at most, by their doubt.
 struct Pick<'a> {
     rays: u32,
     /// A random word.
@@ -249,57 +266,109 @@ struct Pick<'a> {
 }
 
 impl Kernel for Pick<'_> {
-    type Output = Vec3;
+    type Output = ();
 
     #[inline(always)]
-    fn run(self) -> Vec3 {
-        let Self { rays, start, candidates: Candidates { brings, visible, doubt, picked, .. } } = self;
-        let rows = brings.rows().map(|row| row.as_chunks::<LANES>().0);
-        let visible = visible.as_chunks::<LANES>().0;
-        let mut known = [[0.0; LANES]; 3];
-        for (known, row) in known.iter_mut().zip(rows) {
-            for (brings, visible) in row.iter().zip(visible) {
-                for i in 0..LANES {
-                    known[i] += brings[i] * visible[i];
-                }
-            }
-        }
-        let known = Vec3::from(known.map(|lanes| lanes.iter().sum()));
-
-        let doubts = doubt.as_chunks::<LANES>().0;
-        // Those with as much doubt as there is to a ray are traced for sure, and the others share what rays are left.
-        let mut step = f32::MAX;
-        for _ in 0..4 {
-            let (mut sums, mut sures) = ([0.0; LANES], [0.0; LANES]);
-            for doubt in doubts {
-                for i in 0..LANES {
-                    let sure = doubt[i] >= step;
-                    sums[i] += if sure { 0.0 } else { doubt[i] };
-                    sures[i] += if sure { 1.0 } else { 0.0 };
-                }
-            }
-            let (sum, sure): (f32, f32) = (sums.iter().sum(), sures.iter().sum());
-            let left = rays as f32 - sure;
-            if left < 0.5 || sum <= 0.0 || sum / left >= step {
-                break;
-            }
-            step = sum / left;
-        }
-        picked.clear();
-        let by = SURE as f32 / step;
-        let mut at = start & (SURE - 1);
+    fn run(self) {
+        let Self { rays, start, candidates: Candidates { doubt, picked, .. } } = self;
+        let by = BY_DOUBT / step(doubt, rays);
+        let mut at = start % SURE;
+        // No branch: which are picked is random. One is written beyond the last.
+        picked.resize(doubt.len() + 1, (0, 0));
         let mut count = 0;
-        picked.resize(doubt.len() + 1, [0; 2]);
         for (i, &doubt) in doubt.iter().enumerate() {
-            let width = doubt * by;
-            let width = if width < SURE as f32 { width } else { SURE as f32 };
-            let width = (width as u32).max(u32::from(doubt > 0.0));
-            picked[count] = [i as u32, width];
-            at += width;
-            count += usize::from(at >= SURE);
-            at &= SURE - 1;
+            let counts = doubt * by;
+            let counts = if counts < SURE as f32 { counts as u32 } else { SURE };
+            // What brings anything has a chance.
+            let counts = counts.max(u32::from(doubt > 0.0));
+            picked[count] = (i as u32, counts);
+            at += counts;
+            count += (at / SURE) as usize;
+            at %= SURE;
         }
         picked.truncate(count);
-        known
+    }
+}
+
+/// The doubt that a ray stands for: those with more are traced for sure, and the others share what rays they leave.
+#[inline(always)]
+fn step(doubt: &[f32], rays: u32) -> f32 {
+    let (doubt, _) = doubt.as_chunks::<LANES>();
+    let mut step = f32::MAX;
+    // Each round finds more that are sure; what few it leaves out have their chance all the same.
+    for _ in 0..4 {
+        let (mut sums, mut sure) = ([0.0; LANES], [0.0; LANES]);
+        for doubt in doubt {
+            for i in 0..LANES {
+                let is_sure = doubt[i] >= step;
+                sums[i] += if is_sure { 0.0 } else { doubt[i] };
+                sure[i] += if is_sure { 1.0 } else { 0.0 };
+            }
+        }
+        let left = rays as f32 - sure.iter().sum::<f32>();
+        let next = sums.iter().sum::<f32>() / left;
+        if left < 0.5 || next.is_nan() || next >= step || next == 0.0 {
+            break;
+        }
+        step = next;
+    }
+    step
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with_doubts(doubts: &[f32]) -> Candidates {
+        let mut candidates = Candidates { doubt: doubts.to_vec(), ..Candidates::default() };
+        candidates.doubt.resize(doubts.len().next_multiple_of(LANES), 0.0);
+        candidates
+    }
+
+    /// Over all beginnings each candidate counts once, however little in doubt; and there are never more rays than asked for.
+    #[test]
+    fn what_is_picked_counts_for_what_is_not() {
+        const STARTS: u32 = 1 << 12;
+        let uneven: Vec<f32> = (0..45).map(|i| ((i * 7 % 45) as f32).powi(3)).collect();
+        let one_sun = [vec![1e9], vec![1.0; 30]].concat();
+        for doubts in [vec![1.0; 40], vec![0.0; 3], vec![5.0], vec![1.0, 0.0, 1e-30], uneven, one_sun] {
+            for rays in [1, 2, 7, 16, 64] {
+                let mut candidates = with_doubts(&doubts);
+                let mut counted = vec![0.0; candidates.doubt.len()];
+                let mut most = vec![0.0f64; candidates.doubt.len()];
+                for start in 0..STARTS {
+                    Pick { rays, start: start * (SURE / STARTS), candidates: &mut candidates }.run();
+                    assert!(candidates.picked.len() <= rays as usize, "{rays} rays: {}", candidates.picked.len());
+                    for &(i, counts) in &candidates.picked {
+                        let weight = f64::from(SURE) / f64::from(counts);
+                        counted[i as usize] += weight / f64::from(STARTS);
+                        most[i as usize] = weight;
+                    }
+                }
+                for (i, &doubt) in doubts.iter().enumerate() {
+                    // A start more or less hits it; what is likelier missed by all of them may count nothing.
+                    let off = if most[i] > 0.0 { most[i] / f64::from(STARTS) } else { 1.0 };
+                    let exact = if doubt > 0.0 { 1.0 } else { 0.0 };
+                    let off_by = f64::abs(counted[i] - exact);
+                    assert!(off_by <= 1.001 * off, "{rays} rays, doubt {doubt}: counts {}", counted[i]);
+                }
+                assert!(counted[doubts.len()..].iter().all(|&counted| counted == 0.0), "what fills up the register");
+            }
+        }
+    }
+
+    /// As many rays as candidates leave nothing to chance, nor does a sun beside a dim sky.
+    #[test]
+    fn what_is_most_in_doubt_is_traced_for_sure() {
+        let sure = |candidates: &Candidates, i: usize| candidates.picked.iter().any(|&p| p == (i as u32, SURE));
+        for start in (0..SURE).step_by(SURE as usize / 64) {
+            let mut candidates = with_doubts(&[1.0, 2.0, 3.0, 4.0]);
+            Pick { rays: 64, start, candidates: &mut candidates }.run();
+            assert_eq!(candidates.picked.len(), 4);
+            let mut candidates = with_doubts(&[&[1.0; 20][..], &[1e6], &[2.0; 20]].concat());
+            Pick { rays: 4, start, candidates: &mut candidates }.run();
+            assert!(sure(&candidates, 20), "{:?}", candidates.picked);
+            assert!(candidates.picked.len() >= 3);
+        }
     }
 }

@@ -114,10 +114,18 @@ impl<const N: usize> Kernel for Look<'_, N> {
 /// Directions that a lobe proposes.
 #[derive(Debug)]
 pub(super) struct Proposed<const N: usize> {
-    pub(super) dir: [Vec3; N],
+    /// Unit directions, a row a component.
+    pub(super) dir: [[f32; N]; 3],
     /// The dome's texels that they point at.
     pub(super) texel: [u32; N],
     pub(super) seen: Seen<N>,
+}
+
+impl<const N: usize> Proposed<N> {
+    #[inline(always)]
+    pub(super) fn dir(&self, i: usize) -> Vec3 {
+        Vec3::from(self.dir.each_ref().map(|row| row[i]))
+    }
 }
 
 /// Proposes directions `first` to `first + N` of `of`; those below the horizon are lost.
@@ -157,13 +165,14 @@ impl<const N: usize> Kernel for Propose<'_, N> {
             }
         }
         let [x, y, z] = &local;
-        let mut dir = [Vec3::ZERO; N];
+        let mut dir = [[0.0; N]; 3];
         for i in 0..N {
-            dir[i] = lobe.frame.to_world(Vec3::new(x[i], y[i], z[i]));
+            let to = lobe.frame.to_world(Vec3::new(x[i], y[i], z[i]));
+            (dir[0][i], dir[1][i], dir[2][i]) = (to.x, to.y, to.z);
         }
         let mut texel = [0; N];
         for i in 0..N {
-            texel[i] = grid.texel(dir[i]);
+            texel[i] = grid.texel(Vec3::new(dir[0][i], dir[1][i], dir[2][i]));
         }
         Proposed { dir, texel, seen: Seen::new(lobe, &local) }
     }
@@ -183,22 +192,20 @@ mod tests {
             let bsdf = Bsdf { diffuse: Vec3::splat(0.3), specular };
             let lobe = Lobe::new(&bsdf, ns, wo, partner);
             let many = Propose::<8> { lobe: &lobe, grid, numbers, first: 8, of: 24 }.run();
-            let row = |axis: usize| many.dir.map(|dir| dir[axis]);
-            let rows = [row(0), row(1), row(2)];
-            let looked = Look::<8> { lobe: &lobe, dir: rows.each_ref().map(|row| &row[..]), first: 0 }.run();
+            let looked = Look::<8> { lobe: &lobe, dir: many.dir.each_ref().map(|row| &row[..]), first: 0 }.run();
             for i in 0..8 {
                 let one = Propose::<1> { lobe: &lobe, grid, numbers, first: 8 + i as u32, of: 24 }.run();
-                assert_eq!((many.dir[i], many.texel[i]), (one.dir[0], one.texel[0]));
-                assert_eq!(many.texel[i], grid.texel(many.dir[i]));
+                assert_eq!((many.dir(i), many.texel[i]), (one.dir(0), one.texel[0]));
+                assert_eq!(many.texel[i], grid.texel(many.dir(i)));
                 let frame = Frame::new(ns);
                 let (f, pdf) = bsdf.specular.map_or((Vec3::ZERO, 0.0), |lobe| {
-                    ggx::eval(&lobe, frame.to_local(wo), frame.to_local(many.dir[i]))
+                    ggx::eval(&lobe, frame.to_local(wo), frame.to_local(many.dir(i)))
                 });
-                let pdf = pdf + lobe.cosine * (many.dir[i].dot(ns).max(0.0) * FRAC_1_PI - pdf);
+                let pdf = pdf + lobe.cosine * (many.dir(i).dot(ns).max(0.0) * FRAC_1_PI - pdf);
                 for seen in [&many.seen, &looked] {
                     assert!((seen.pdf[i] - pdf).abs() <= 1e-5 * pdf, "{i}: {}, not {pdf}", seen.pdf[i]);
                     assert!((lobe.reflectance(seen, i) - f).abs().max_element() <= 1e-5 * f.max_element(), "{i}");
-                    assert!((seen.cosine[i] - many.dir[i].dot(ns)).abs() < 1e-6, "{i}");
+                    assert!((seen.cosine[i] - many.dir(i).dot(ns)).abs() < 1e-6, "{i}");
                 }
             }
         }

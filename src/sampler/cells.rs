@@ -26,6 +26,8 @@ pub struct DomeCells {
     reciprocal: u64,
     columns: Vec<Column>,
     rows: Vec<Row>,
+    /// Of a row's cells, steradians.
+    solid_angles: Vec<f64>,
     /// What a draw reads of a column and of a row: small, to stay close.
     draw_columns: Vec<[f32; 2]>,
     draw_rows: Vec<DrawRow>,
@@ -124,6 +126,7 @@ impl DomeCells {
             .collect::<Vec<_>>();
         let draw_columns = columns.iter().map(|c| [c.cos as f32, c.sin as f32]).collect();
         let draw_rows = rows.iter().map(|row| row.draw).collect();
+        let solid_angles = rows.iter().map(|row| row.solid_angle).collect();
         let middles = rows.iter().map(|row| row.center.map(|v| v as f32)).collect();
         let half_azimuth = half_azimuth as f32;
         let half_diagonal = 0.5 * step.hypot(2.0 * PI / f64::from(width));
@@ -136,6 +139,7 @@ impl DomeCells {
             reciprocal,
             columns,
             rows,
+            solid_angles,
             draw_columns,
             draw_rows,
             middles,
@@ -274,7 +278,7 @@ impl Cells for DomeCells {
 
     #[inline(always)]
     fn solid_angle(&self, cell: u32) -> f64 {
-        self.rows[self.row(cell) as usize].solid_angle
+        self.solid_angles[self.row(cell) as usize]
     }
 }
 

@@ -218,15 +218,15 @@ pub trait DomeSampler: Debug + Send + Sync {
         out.clear();
     }
 
-    /// Says that [`Self::glossy`] will be asked about these directions soon, which lie in these texels.
-    fn ask_for(&self, _dir: &[Vec3; TOGETHER], _texel: &[u32; TOGETHER]) {}
+    /// Says that [`Self::glossy`] will be asked about these directions soon (a row a component), which lie in these texels.
+    fn ask_for(&self, _dir: &[[f32; TOGETHER]; 3], _texel: &[u32; TOGETHER]) {}
 
     /// What is known of directions that [`Self::draw_gloss`] might have drawn when last called. They lie in these texels, of
     /// this radiance (a row a channel).
     fn glossy(
         &self,
         _drawn: &Draws,
-        _dir: &[Vec3; TOGETHER],
+        _dir: &[[f32; TOGETHER]; 3],
         _texel: &[u32; TOGETHER],
         _radiance: &[[f32; TOGETHER]; 3],
     ) -> Glossy {

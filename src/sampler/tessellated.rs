@@ -333,21 +333,21 @@ impl DomeSampler for Tessellated {
         self.walk_by(&Asked::new(point, n), (target, record.map(|record| record.visibility)), out);
     }
 
-    fn ask_for(&self, dir: &[Vec3; TOGETHER], texel: &[u32; TOGETHER]) {
-        for (&dir, &texel) in dir.iter().zip(texel) {
-            self.owners.ask_for(self.cells.cell(dir, texel));
+    fn ask_for(&self, [x, y, z]: &[[f32; TOGETHER]; 3], texel: &[u32; TOGETHER]) {
+        for i in 0..TOGETHER {
+            self.owners.ask_for(self.cells.cell(Vec3::new(x[i], y[i], z[i]), texel[i]));
         }
     }
 
     fn glossy(
         &self,
         drawn: &Draws,
-        dir: &[Vec3; TOGETHER],
+        dir: &[[f32; TOGETHER]; 3],
         texel: &[u32; TOGETHER],
         radiance: &[[f32; TOGETHER]; 3],
     ) -> Glossy {
         let Prepared { lobe: weights, glimpse, target, .. } = &drawn.prepared;
-        if self.owners.is_empty() || weights.total == 0 {
+        if self.owners.is_empty() {
             return Glossy::default();
         }
         let visibility = glimpse.record().map(|slot| self.memory.visibility(slot));
@@ -443,7 +443,8 @@ mod tests {
 
     fn pdf_gloss(sampler: &Tessellated, draws: &Draws, dir: Vec3, texel: u32) -> f32 {
         let radiance = sampler.cells.dome().texels[texel as usize].map(|channel| [channel; TOGETHER]);
-        sampler.glossy(draws, &[dir; TOGETHER], &[texel; TOGETHER], &radiance).pdf[0]
+        let dir = dir.to_array().map(|component| [component; TOGETHER]);
+        sampler.glossy(draws, &dir, &[texel; TOGETHER], &radiance).pdf[0]
     }
 
     fn grey(width: u32, height: u32) -> Arc<Dome> {

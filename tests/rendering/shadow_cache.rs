@@ -30,6 +30,18 @@ fn occluders() -> Vec<(Mesh, Material)> {
     parts
 }
 
+/// The same of brass and of plastic.
+fn polished() -> Vec<(Mesh, Material)> {
+    let mut parts = occluders();
+    let brass = Vec4::new(0.9, 0.7, 0.3, 1.0);
+    parts[0].1 = Material { metallic: 1.0, roughness: 0.4, base_color: brass, ..Material::default() };
+    parts[1].1 = Material { metallic: 0.0, roughness: 0.3, base_color: brass, ..Material::default() };
+    for (_, material) in &mut parts[2..] {
+        *material = Material { metallic: 0.9, roughness: 0.7, ..Material::default() };
+    }
+    parts
+}
+
 /// A sun of a texel in an uneven sky.
 fn sun() -> Arc<Dome> {
     let sky = |x: u32, y: u32| [0.4, 0.5, 0.7].map(|c| (c * (0.5 + unit(&[x, y]))) as f32);
@@ -127,6 +139,12 @@ static BRUTE_FORCE: LazyLock<Pictures> = LazyLock::new(|| {
     take(&Stage::new(occluders()).shot(&dome, 16, 32), 1000, || sampler("latlong", &dome, 32), |_, _| ())
 });
 
+/// The same sun on what is polished.
+static BRUTE_FORCE_POLISHED: LazyLock<Pictures> = LazyLock::new(|| {
+    let dome = sun();
+    take(&Stage::new(polished()).shot(&dome, 16, 32), 1000, || sampler("latlong", &dome, 32), |_, _| ())
+});
+
 fn assert_same(what: &str, pictures: &Pictures, reference: &Pictures) {
     // Variances are of sixty-four pictures: Student's tails are heavier, 0.001 of the normal's is 0.005 of theirs.
     let test = z_test(pictures.estimate(), reference.estimate(), 0.001);
@@ -206,6 +224,41 @@ fn a_warm_cache() {
     // Not twelve: with these seeds one open pixel of 1024 then stands out (z = −5.4), the whole picture does not. Long
     // tails where the cache is sure of itself are the likely cause, not a proven one.
     assert_unbiased("twenty samples", 20, |_, _, _| ());
+}
+
+/// The same of what is polished.
+fn assert_unbiased_polished(what: &str, spp: u32, mislead: impl Fn(&mut dyn DomeSampler, &Arc<Dome>, u32) + Sync) {
+    let (stage, dome) = (Stage::new(polished()), sun());
+    let make = || sampler(CACHE, &dome, 8);
+    let pictures = take(&stage.shot(&dome, spp, 8), 0, make, |sampler, seed| mislead(sampler, &dome, seed));
+    assert_same(what, &pictures, &BRUTE_FORCE_POLISHED);
+}
+
+/// Candidates for the lobe, more of them than rays, and what the cache takes off them.
+#[test]
+fn polished_things_whatever_the_cache_holds() {
+    assert_unbiased_polished("warm", 20, |_, _, _| ());
+    assert_unbiased_polished("all shadow", 2, |sampler, dome, seed| {
+        let mut parts = polished();
+        parts.push((cuboid(Vec3::splat(-20.0), Vec3::splat(20.0)), white()));
+        learn(sampler, dome, seed, parts);
+    });
+    assert_unbiased_polished("all light", 4, |sampler, dome, seed| {
+        learn(sampler, dome, seed, polished().drain(..1).collect())
+    });
+    let stage = Stage::new(polished());
+    assert_unbiased_polished("random", 2, |sampler, dome, seed| toss(&stage, sampler, dome, seed));
+}
+
+/// Without a cache rays go to candidates by what they bring.
+#[test]
+fn polished_things_without_a_cache() {
+    let (stage, dome) = (Stage::new(polished()), sun());
+    for (spp, rays) in [(4, 8), (16, 1)] {
+        let make = || sampler("tessellated:cache=off,groups=128,triangles=1024", &dome, rays);
+        let pictures = take(&stage.shot(&dome, spp, rays), 0, make, |_, _| ());
+        assert_same(&format!("{spp} samples of {rays} rays"), &pictures, &BRUTE_FORCE_POLISHED);
+    }
 }
 
 /// Lets the sampler learn from a render of other occluders.

@@ -11,7 +11,7 @@ use crate::bsdf::Specular;
 use crate::dome::Dome;
 use crate::sampler::preconvolution::Preconvolution;
 use crate::sampler::shadow_cache::NO_TARGET;
-use crate::sampler::tessellation::{Cells, LEAVES_A_GROUP};
+use crate::sampler::tessellation::Cells;
 use crate::sampler::{Glossy, Point, TOGETHER};
 use crate::simd::Kernel;
 use glam::Vec3;
@@ -125,7 +125,7 @@ pub(super) struct LookUp<'a> {
     pub(super) visibility: Option<&'a [u8]>,
     /// Where rays to the first group are counted.
     pub(super) target: u32,
-    pub(super) dir: &'a [Vec3; TOGETHER],
+    pub(super) dir: &'a [[f32; TOGETHER]; 3],
     pub(super) texel: &'a [u32; TOGETHER],
     pub(super) radiance: &'a [[f32; TOGETHER]; 3],
 }
@@ -136,10 +136,11 @@ impl Kernel for LookUp<'_> {
     #[inline(always)]
     fn run(self) -> Glossy {
         let Self { sampler: Tessellated { cells, owners, texels, .. }, weights, visibility, target, .. } = self;
+        let [x, y, z] = self.dir;
         let (mut cell, mut group) = ([0; TOGETHER], [0; TOGETHER]);
         let (mut solid_angle, mut weight) = ([0.0; TOGETHER], [0.0; TOGETHER]);
         for i in 0..TOGETHER {
-            cell[i] = cells.cell(self.dir[i], self.texel[i]);
+            cell[i] = cells.cell(Vec3::new(x[i], y[i], z[i]), self.texel[i]);
             solid_angle[i] = cells.solid_angle(cell[i]);
         }
         let mut energy = [0.0; TOGETHER];
@@ -149,7 +150,7 @@ impl Kernel for LookUp<'_> {
         }
         let mut glossy = Glossy::default();
         for i in 0..TOGETHER {
-            group[i] = owners.slot(cell[i]) / LEAVES_A_GROUP;
+            group[i] = owners.group(cell[i]);
             weight[i] = f64::from(weights.widths[group[i]]);
             glossy.target[i] = if target == NO_TARGET { NO_TARGET } else { target + group[i] as u32 };
         }
@@ -159,7 +160,7 @@ impl Kernel for LookUp<'_> {
             }
         }
         let width = texels.counts_by_energy(&group, &cell, &energy);
-        let by_all = 1.0 / (f64::from(weights.total) * f64::from(COUNTS));
+        let by_all = if weights.total > 0 { 1.0 / (f64::from(weights.total) * f64::from(COUNTS)) } else { 0.0 };
         for i in 0..TOGETHER {
             let pdf = weight[i] * f64::from(width[i]) * by_all / solid_angle[i];
             glossy.pdf[i] = if energy[i] > 0.0 { pdf as f32 } else { 0.0 };

@@ -1,7 +1,7 @@
 //! Which leaf a cell belongs to: the way back from a direction to how likely it was to be drawn.
 
 use super::texels::Texels;
-use crate::sampler::tessellation::Tessellation;
+use crate::sampler::tessellation::{LEAVES_A_GROUP, Tessellation};
 use crate::simd::prefetch;
 
 /// The leaves of all cells, two bytes a cell: densities are asked for all over the dome, and what is small stays near. Empty
@@ -12,6 +12,8 @@ pub(super) struct Owners {
     leaf: Vec<u16>,
     /// The slots of the leaves that have cells.
     slots: Vec<u32>,
+    /// Their groups.
+    groups: Vec<u16>,
 }
 
 /// Leaves that can be told apart.
@@ -27,7 +29,8 @@ impl Owners {
                 leaf[cell as usize] = index;
             }
         }
-        Self { leaf, slots }
+        let groups = slots.iter().map(|&slot| (slot as usize / LEAVES_A_GROUP) as u16).collect();
+        Self { leaf, slots, groups }
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -46,7 +49,13 @@ impl Owners {
         self.slots[usize::from(self.leaf[cell as usize])] as usize
     }
 
+    /// The group that holds a lit cell.
+    #[inline(always)]
+    pub(super) fn group(&self, cell: u32) -> usize {
+        usize::from(self.groups[usize::from(self.leaf[cell as usize])])
+    }
+
     pub(super) fn bytes(&self) -> usize {
-        size_of_val(&self.leaf[..]) + size_of_val(&self.slots[..])
+        size_of_val(&self.leaf[..]) + size_of_val(&self.slots[..]) + size_of_val(&self.groups[..])
     }
 }

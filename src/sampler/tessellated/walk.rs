@@ -135,8 +135,7 @@ impl Tessellated {
         }
         let control = record.is_some().then_some(control);
         let listens = self.listens();
-        let mut lists =
-            Lists { dir, radiance, pdf, control, visibility: None, targets, target: begun.target, listens };
+        let mut lists = Lists { dir, radiance, pdf, control, visibility: None, targets, target: begun.target, listens };
         let weights = (weights, leaves);
         if asked.are_few() {
             let Blocks { first, rest: [rest, _] } = few;
@@ -234,8 +233,9 @@ impl Lists<'_> {
         self.pdf.truncate(end);
         if let Some(control) = &mut self.control {
             match self.visibility {
-                Some(visibility) => control
-                    .extend(block.group[..block.count].iter().map(|&g| f32::from(visibility[g as usize]) * (1.0 / 255.0))),
+                Some(visibility) => control.extend(
+                    block.group[..block.count].iter().map(|&g| f32::from(visibility[g as usize]) * (1.0 / 255.0)),
+                ),
                 None => control.extend_from_slice(&block.factor),
             }
             control.truncate(end);
@@ -282,8 +282,7 @@ mod tests {
         let mut draws = Draws::default();
         let Draws { dir, radiance, pdf, control, target: targets, .. } = &mut draws;
         let control = Some(control);
-        let mut lists =
-            Lists { dir, radiance, pdf, control, visibility: None, targets, target: 7, listens: true };
+        let mut lists = Lists { dir, radiance, pdf, control, visibility: None, targets, target: 7, listens: true };
         let (mut block, mut ahead) = (Block::<N>::default(), Block::default());
         let mut leaves = LeafMemo::default();
         let blocks = [&mut block, &mut ahead];
