@@ -14,7 +14,6 @@ use crate::random;
 use crate::sampler::shadow_cache::NO_TARGET;
 use crate::sampler::{Draws, Glossy, Numbers, Point, TOGETHER};
 use crate::simd::{Kernel, dispatch, prefetch};
-use crate::vectors::Vectors;
 use glam::Vec3;
 
 /// Candidates treated together.
@@ -33,32 +32,27 @@ const SURE: u32 = 1 << 21;
 /// those of the rays.
 const BY_DOUBT: f32 = 0.9999 * SURE as f32;
 
-/// A point's candidates in whole registers; what fills up the last of them brings nothing.
+/// A register of candidates; what fills up the last one brings nothing.
+#[derive(Debug, Clone, Copy)]
+struct Register {
+    dir: [[f32; LANES]; 3],
+    /// What each brings if it arrives.
+    brings: [[f32; LANES]; 3],
+    /// The share of that which is expected to.
+    visible: [f32; LANES],
+    /// How far that is in doubt.
+    doubt: [f32; LANES],
+    target: [u32; LANES],
+}
+
+/// A point's candidates.
 #[derive(Debug, Default)]
 pub struct Candidates {
-    dir: Vectors,
-    /// What each brings if it arrives.
-    brings: Vectors,
-    /// The share of that which is expected to.
-    visible: Vec<f32>,
-    /// How far that is in doubt.
-    doubt: Vec<f32>,
-    target: Vec<u32>,
+    all: Vec<Register>,
     /// The lobe's, while the dome's are drawn.
     proposed: Vec<Proposed<LANES>>,
     /// Which are traced, each with the counts of its probability.
     picked: Vec<(u32, u32)>,
-}
-
-impl Candidates {
-    fn clear(&mut self) {
-        self.dir.clear();
-        self.brings.clear();
-        self.visible.clear();
-        self.doubt.clear();
-        self.target.clear();
-        self.proposed.clear();
-    }
 }
 
 /// A point with a lobe.
@@ -80,7 +74,8 @@ impl Gloss<'_> {
         let of_lobe = CANDIDATES * self.rays;
         let of_dome = of_lobe.min(self.of);
         let candidates = &mut queue.candidates;
-        candidates.clear();
+        candidates.all.clear();
+        candidates.proposed.clear();
         // What they read of memory comes while the dome's are drawn.
         self.propose(of_lobe, candidates);
         let point = Point { numbers: self.numbers(0x6105), ..self.point };
@@ -89,7 +84,7 @@ impl Gloss<'_> {
         self.add_proposed(of_lobe, draws, candidates);
         let start = self.numbers(0x7e51).within_stratum(0);
         dispatch(Pick { rays: self.rays, start, candidates });
-        let expected = dispatch(Expect { candidates });
+        let expected = dispatch(Expect { candidates: &candidates.all });
         expected - self.trace(queue)
     }
 
@@ -145,25 +140,21 @@ impl Gloss<'_> {
         let (of_dome, of_lobe) = (draws.dir.len() as f32, of_lobe as f32);
         let learned = !draws.control.is_empty();
         let weigh = Weigh { gloss: self, dir, radiance, seen, glossy, of_dome, of_lobe, learned, count };
-        let (brings, doubt) = dispatch(weigh);
-        candidates.dir.extend(dir);
-        candidates.brings.extend(&brings);
-        candidates.visible.extend_from_slice(&glossy.visible);
-        candidates.doubt.extend_from_slice(&doubt);
-        candidates.target.extend_from_slice(&glossy.target);
+        candidates.all.push(dispatch(weigh));
     }
 
     /// Queues those that were picked; returns what was expected of them, which rays now tell.
     fn trace(&self, queue: &mut Queue) -> Vec3 {
         let Queue { candidates, rays, contributions, targets, .. } = queue;
-        let Candidates { dir, brings, visible, target, picked, .. } = candidates;
+        let Candidates { all, picked, .. } = candidates;
         let listens = self.world.sampler.listens();
         let mut expected = Vec3::ZERO;
         for &(i, counts) in &*picked {
-            let i = i as usize;
-            let brings = brings.get(i) * (SURE as f32 / counts as f32);
+            let (Register { dir, brings, visible, target, .. }, i) = (&all[i as usize / LANES], i as usize % LANES);
+            let of_lane = |rows: &[[f32; LANES]; 3]| Vec3::new(rows[0][i], rows[1][i], rows[2][i]);
+            let brings = of_lane(brings) * (SURE as f32 / counts as f32);
             expected += brings * visible[i];
-            rays.push(Ray::new(self.origin, dir.get(i)));
+            rays.push(Ray::new(self.origin, of_lane(dir)));
             contributions.push(brings);
             if listens {
                 targets.push(target[i]);
@@ -202,11 +193,12 @@ struct Weigh<'a> {
 }
 
 impl Kernel for Weigh<'_> {
-    type Output = ([[f32; LANES]; 3], [f32; LANES]);
+    type Output = Register;
 
     #[inline(always)]
-    fn run(self) -> Self::Output {
-        let Self { gloss, dir: [x, y, z], seen, glossy: Glossy { pdf, visible, .. }, of_dome, of_lobe, .. } = self;
+    fn run(self) -> Register {
+        let Self { gloss, dir, seen, of_dome, of_lobe, .. } = self;
+        let (&Glossy { pdf, visible, target }, [x, y, z]) = (self.glossy, dir);
         let ng = gloss.point.ng;
         let mut share = [0.0; LANES];
         for i in 0..LANES {
@@ -228,13 +220,13 @@ impl Kernel for Weigh<'_> {
             let spread = if spread > FLOOR { spread } else { FLOOR };
             doubt[i] = (brings[0][i] + brings[1][i] + brings[2][i]) * if self.learned { spread } else { 1.0 };
         }
-        (brings, doubt)
+        Register { dir: *dir, brings, visible, doubt, target }
     }
 }
 
 /// What candidates are expected to bring, all together.
 struct Expect<'a> {
-    candidates: &'a Candidates,
+    candidates: &'a [Register],
 }
 
 impl Kernel for Expect<'_> {
@@ -242,18 +234,15 @@ impl Kernel for Expect<'_> {
 
     #[inline(always)]
     fn run(self) -> Vec3 {
-        let Candidates { brings, visible, .. } = self.candidates;
-        let (visible, _) = visible.as_chunks::<LANES>();
-        let sum = |row: &[f32]| {
-            let mut sums = [0.0; LANES];
-            for (brings, visible) in row.as_chunks::<LANES>().0.iter().zip(visible) {
+        let mut sums = [[0.0; LANES]; 3];
+        for Register { brings, visible, .. } in self.candidates {
+            for (sums, brings) in sums.iter_mut().zip(brings) {
                 for i in 0..LANES {
                     sums[i] += brings[i] * visible[i];
                 }
             }
-            sums.iter().sum::<f32>()
-        };
-        Vec3::from(brings.rows().map(sum))
+        }
+        Vec3::from(sums.map(|sums| sums.iter().sum()))
     }
 }
 
@@ -270,13 +259,13 @@ impl Kernel for Pick<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { rays, start, candidates: Candidates { doubt, picked, .. } } = self;
-        let by = BY_DOUBT / step(doubt, rays);
+        let Self { rays, start, candidates: Candidates { all, picked, .. } } = self;
+        let by = BY_DOUBT / step(all, rays);
         let mut at = start % SURE;
         // No branch: which are picked is random. One is written beyond the last.
-        picked.resize(doubt.len() + 1, (0, 0));
+        picked.resize(all.len() * LANES + 1, (0, 0));
         let mut count = 0;
-        for (i, &doubt) in doubt.iter().enumerate() {
+        for (i, &doubt) in all.iter().flat_map(|some| &some.doubt).enumerate() {
             let counts = doubt * by;
             let counts = if counts < SURE as f32 { counts as u32 } else { SURE };
             // What brings anything has a chance.
@@ -292,13 +281,12 @@ impl Kernel for Pick<'_> {
 
 /// The doubt that a ray stands for: those with more are traced for sure, and the others share what rays they leave.
 #[inline(always)]
-fn step(doubt: &[f32], rays: u32) -> f32 {
-    let (doubt, _) = doubt.as_chunks::<LANES>();
+fn step(candidates: &[Register], rays: u32) -> f32 {
     let mut step = f32::MAX;
     // Each round finds more that are sure; what few it leaves out have their chance all the same.
     for _ in 0..4 {
         let (mut sums, mut sure) = ([0.0; LANES], [0.0; LANES]);
-        for doubt in doubt {
+        for Register { doubt, .. } in candidates {
             for i in 0..LANES {
                 let is_sure = doubt[i] >= step;
                 sums[i] += if is_sure { 0.0 } else { doubt[i] };
@@ -320,9 +308,14 @@ mod tests {
     use super::*;
 
     fn with_doubts(doubts: &[f32]) -> Candidates {
-        let mut candidates = Candidates { doubt: doubts.to_vec(), ..Candidates::default() };
-        candidates.doubt.resize(doubts.len().next_multiple_of(LANES), 0.0);
-        candidates
+        let with = |doubts: &[f32]| Register {
+            dir: Default::default(),
+            brings: Default::default(),
+            visible: Default::default(),
+            doubt: lanes(doubts, 0, 0.0),
+            target: Default::default(),
+        };
+        Candidates { all: doubts.chunks(LANES).map(with).collect(), ..Candidates::default() }
     }
 
     /// Over all beginnings each candidate counts once, however little in doubt; and there are never more rays than asked for.
@@ -334,8 +327,8 @@ mod tests {
         for doubts in [vec![1.0; 40], vec![0.0; 3], vec![5.0], vec![1.0, 0.0, 1e-30], uneven, one_sun] {
             for rays in [1, 2, 7, 16, 64] {
                 let mut candidates = with_doubts(&doubts);
-                let mut counted = vec![0.0; candidates.doubt.len()];
-                let mut most = vec![0.0f64; candidates.doubt.len()];
+                let mut counted = vec![0.0; candidates.all.len() * LANES];
+                let mut most = vec![0.0f64; counted.len()];
                 for start in 0..STARTS {
                     Pick { rays, start: start * (SURE / STARTS), candidates: &mut candidates }.run();
                     assert!(candidates.picked.len() <= rays as usize, "{rays} rays: {}", candidates.picked.len());
