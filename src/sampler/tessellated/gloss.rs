@@ -24,7 +24,7 @@ const BLUR: f32 = 0.25;
 const FLOOR: f32 = 0.1;
 
 /// Samples of a pixel share weights where what makes them differs by less than this share; angles, of the lobe's width.
-const ALIKE: f32 = 0.1;
+const ALIKE: f32 = 0.25;
 
 /// Whose weights of a lobe were made last.
 #[derive(Debug, Clone, Copy, Default)]
@@ -199,10 +199,10 @@ mod tests {
         let turned = |by: f32| Vec3::new(0.0, by, 1.0).normalize();
         let other = |point: &Point, lobe: &Specular| made.serves(&Glimpse::new(point, lobe, 2, Some(9)));
         assert!(other(&Point { numbers: Numbers { seed: 7, sample: 1 }, ..point }, &lobe));
-        assert!(other(&Point { ns: turned(0.015), ..point }, &lobe));
-        assert!(!other(&Point { ns: turned(0.025), ..point }, &lobe), "turned by more than a tenth of the width");
-        assert!(!other(&Point { wo: (Vec3::X + 0.025 * Vec3::Y).normalize(), ..point }, &lobe), "seen from elsewhere");
-        assert!(!other(&point, &Specular { alpha: 0.25, ..lobe }), "wider");
+        assert!(other(&Point { ns: turned(0.045), ..point }, &lobe));
+        assert!(!other(&Point { ns: turned(0.055), ..point }, &lobe), "turned by more than a quarter of the width");
+        assert!(!other(&Point { wo: (Vec3::X + 0.055 * Vec3::Y).normalize(), ..point }, &lobe), "seen from elsewhere");
+        assert!(!other(&point, &Specular { alpha: 0.26, ..lobe }), "wider");
         assert!(!other(&point, &Specular { f0: Vec3::splat(0.04), ..lobe }), "another material");
         assert!(!other(&Point { pixel: [3, 5], ..point }, &lobe), "another pixel");
         assert!(!other(&Point { numbers: Numbers { seed: 8, sample: 0 }, ..point }, &lobe), "another stage's numbers");
