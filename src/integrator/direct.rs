@@ -1,11 +1,10 @@
 //! Emission and direct light from the dome.
 //!
-//! The diffuse term is estimated by the dome sampler alone, with its control variate. A specular lobe adds directions
-//! drawn from the lobe; the specular term takes these and the dome's by the balance heuristic (the diffuse term takes the
-//! dome's unweighted: a weighted control variate would have the wrong mean). A sampler that knows where a lobe looks
-//! draws the dome's for the specular term apart from the diffuse one's, but under wide lobes that reflect less than the
-//! diffuse term. Rays go to the two terms by what each reflects. A Lambertian point draws from the dome and knows nothing
-//! of MIS.
+//! The diffuse term is estimated by the dome sampler alone, with its control variate. For the specular term a sampler that
+//! knows where a lobe looks draws directions of its own (`gloss`); rays go to the two terms by what each
+//! reflects. Of other samplers both terms have the same directions, and the specular one more, drawn from the lobe, by the
+//! balance heuristic (the diffuse term takes the dome's unweighted: a weighted control variate would have the wrong mean).
+//! A Lambertian point draws from the dome and knows nothing of MIS.
 //!
 //! Below a roughness of 0.05 the lobe is left to its own directions. What a curved mirror shows differs most from place to
 //! place in the pixel: these directions are dealt out to all camera rays of a sample ([`Integrator::mirrored`]).
@@ -37,7 +36,7 @@ pub const PLUGIN: Plugin<MakeIntegrator> = Plugin {
 /// α of roughness 0.05: narrower lobes are sampled by themselves.
 const NARROW: f32 = 0.0025;
 
-/// α of roughness 0.55: wider lobes above a diffuse one are served well by directions drawn by irradiance.
+/// α of roughness 0.55: wider lobes show about what the normal's side shines with.
 const WIDE: f32 = 0.3;
 
 /// Directions of a lobe treated together.

@@ -260,7 +260,8 @@ impl Kernel for Pick<'_> {
     #[inline(always)]
     fn run(self) {
         let Self { rays, start, candidates: Candidates { all, picked, .. } } = self;
-        let by = BY_DOUBT / step(all, rays);
+        // In next to no light it is still a number.
+        let by = (BY_DOUBT / step(all, rays)).min(f32::MAX);
         let mut at = start % SURE;
         // No branch: which are picked is random. One is written beyond the last.
         picked.resize(all.len() * LANES + 1, (0, 0));
@@ -353,7 +354,7 @@ mod tests {
     /// As many rays as candidates leave nothing to chance, nor does a sun beside a dim sky.
     #[test]
     fn what_is_most_in_doubt_is_traced_for_sure() {
-        let sure = |candidates: &Candidates, i: usize| candidates.picked.iter().any(|&p| p == (i as u32, SURE));
+        let sure = |candidates: &Candidates, i: usize| candidates.picked.contains(&(i as u32, SURE));
         for start in (0..SURE).step_by(SURE as usize / 64) {
             let mut candidates = with_doubts(&[1.0, 2.0, 3.0, 4.0]);
             Pick { rays: 64, start, candidates: &mut candidates }.run();

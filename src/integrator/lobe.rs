@@ -43,8 +43,8 @@ impl Lobe {
         let mut rows = [[0.0; N]; 3];
         if let Some(lobe) = self.specular {
             for (row, f0) in rows.iter_mut().zip(lobe.f0.to_array()) {
-                for i in 0..N {
-                    row[i] = f0 * seen.body[i] + lobe.f90 * seen.rim[i];
+                for ((f, body), rim) in row.iter_mut().zip(&seen.body).zip(&seen.rim) {
+                    *f = f0 * body + lobe.f90 * rim;
                 }
             }
         }

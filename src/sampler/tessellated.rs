@@ -15,8 +15,7 @@
 //! cosine changes inside a group, so that under it texels are drawn by energy, straight from their group. Leaves serve where
 //! there is none (no record yet, `cache=off`) and at the horizon.
 //!
-//! Gloss: polished surfaces, and metals of any roughness, draw some of their directions from the groups as their lobe sees
-//! them, by energy inside a group.
+//! Gloss: for their lobes surfaces draw directions from the groups as the lobe sees them, by energy inside a group.
 
 mod buckets;
 mod draw;
