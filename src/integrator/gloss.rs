@@ -7,7 +7,7 @@
 //! candidate that is traced with probability π counts (V − m) w/π (Horvitz & Thompson 1952). Whatever m is, the mean is
 //! that of Σ V·w. Sampling is systematic: candidates beside each other are not traced together.
 
-use super::lobe::{Lobe, Look, Propose, Proposed, Seen};
+use super::lobe::{Lobe, Look, Propose, Seen};
 use super::{Queue, World};
 use crate::accel::Ray;
 use crate::random;
@@ -32,27 +32,51 @@ const SURE: u32 = 1 << 21;
 /// those of the rays.
 const BY_DOUBT: f32 = 0.9999 * SURE as f32;
 
-/// A register of candidates; what fills up the last one brings nothing.
+/// A register of candidates.
 #[derive(Debug, Clone, Copy)]
 struct Register {
     dir: [[f32; LANES]; 3],
-    /// What each brings if it arrives.
+    /// The dome's texels that the lobe's point at, and what shines there.
+    texel: [u32; LANES],
+    radiance: [[f32; LANES]; 3],
+    seen: Seen<LANES>,
+    glossy: Glossy,
+    /// What each brings if it arrives: nothing what fills up the last register.
     brings: [[f32; LANES]; 3],
-    /// The share of that which is expected to.
-    visible: [f32; LANES],
-    /// How far that is in doubt.
+    /// How far it is in doubt whether that arrives.
     doubt: [f32; LANES],
-    target: [u32; LANES],
+}
+
+impl Register {
+    const EMPTY: Self = Self {
+        dir: [[0.0; LANES]; 3],
+        texel: [0; LANES],
+        radiance: [[0.0; LANES]; 3],
+        seen: Seen::NOTHING,
+        glossy: Glossy::UNKNOWN,
+        brings: [[0.0; LANES]; 3],
+        doubt: [0.0; LANES],
+    };
 }
 
 /// A point's candidates.
 #[derive(Debug, Default)]
 pub struct Candidates {
-    all: Vec<Register>,
-    /// The lobe's, while the dome's are drawn.
-    proposed: Vec<Proposed<LANES>>,
+    /// The lobe's, then the dome's; beyond them whatever was there.
+    registers: Vec<Register>,
     /// Which are traced, each with the counts of its probability.
     picked: Vec<(u32, u32)>,
+}
+
+impl Candidates {
+    /// So many registers.
+    #[inline]
+    fn registers(&mut self, count: usize) -> &mut [Register] {
+        if self.registers.len() < count {
+            self.registers.resize(count, Register::EMPTY);
+        }
+        &mut self.registers[..count]
+    }
 }
 
 /// A point with a lobe.
@@ -69,23 +93,36 @@ pub(super) struct Gloss<'a> {
 }
 
 impl Gloss<'_> {
-    /// Queues rays; returns what is added whatever they meet.
+    /// Queues rays; returns what is added to what they bring.
     pub(super) fn queue(&self, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
-        let of_lobe = CANDIDATES * self.rays;
-        let of_dome = of_lobe.min(self.of);
-        let candidates = &mut queue.candidates;
-        candidates.all.clear();
-        candidates.proposed.clear();
+        let World { sampler, dome, .. } = self.world;
+        let of_lobe = (CANDIDATES * self.rays) as usize;
+        let of_dome = of_lobe.min(self.of as usize);
+        let by_lobe = of_lobe.div_ceil(LANES);
+        let registers = queue.candidates.registers(by_lobe);
+        dispatch(ProposeAll { gloss: self, numbers: self.numbers(0x10be), of: of_lobe as u32, registers });
         // What they read of memory comes while the dome's are drawn.
-        self.propose(of_lobe, candidates);
+        for Register { dir, texel, .. } in registers {
+            texel.iter().for_each(|&texel| prefetch(&dome.texels, texel as usize));
+            sampler.ask_for(dir, texel);
+        }
         let point = Point { numbers: self.numbers(0x6105), ..self.point };
-        self.world.sampler.draw_gloss(&point, of_dome, draws);
-        self.add_drawn(of_lobe, draws, candidates);
-        self.add_proposed(of_lobe, draws, candidates);
+        sampler.draw_gloss(&point, of_dome as u32, draws);
+        let all = by_lobe + draws.dir.len().div_ceil(LANES);
+        let (proposed, drawn) = queue.candidates.registers(all).split_at_mut(by_lobe);
+        dispatch(LookAtAll { lobe: self.lobe, draws, registers: drawn });
+        for Register { dir, texel, radiance, glossy, .. } in proposed {
+            let texels = texel.map(|texel| dome.texels[texel as usize]);
+            *radiance = [0, 1, 2].map(|channel| texels.map(|texel| texel[channel]));
+            *glossy = sampler.glossy(draws, dir, texel, radiance);
+        }
         let start = self.numbers(0x7e51).within_stratum(0);
-        dispatch(Pick { rays: self.rays, start, candidates });
-        let expected = dispatch(Expect { candidates: &candidates.all });
-        expected - self.trace(queue)
+        let learned = !draws.control.is_empty();
+        let numbers = [of_lobe, draws.dir.len()];
+        let Candidates { registers, picked } = &mut queue.candidates;
+        let registers = &mut registers[..all];
+        let expected = dispatch(Pick { gloss: self, by_lobe, numbers, learned, start, registers, picked });
+        expected - self.trace(all, queue)
     }
 
     /// Numbers for a purpose of their own.
@@ -94,75 +131,71 @@ impl Gloss<'_> {
         Numbers { seed: random::combine(seed, purpose), sample }
     }
 
-    fn propose(&self, of: u32, candidates: &mut Candidates) {
-        let World { sampler, dome, .. } = self.world;
-        let numbers = self.numbers(0x10be);
-        for first in (0..of).step_by(LANES) {
-            let proposed = dispatch(Propose::<LANES> { lobe: self.lobe, grid: dome.grid, numbers, first, of });
-            proposed.texel.iter().for_each(|&texel| prefetch(&dome.texels, texel as usize));
-            sampler.ask_for(&proposed.dir, &proposed.texel);
-            candidates.proposed.push(proposed);
-        }
-    }
-
-    fn add_drawn(&self, of_lobe: u32, draws: &Draws, candidates: &mut Candidates) {
-        let Draws { dir, radiance, pdf, control, target, .. } = draws;
-        let rows = |rows: [&[f32]; 3], first| rows.map(|row| lanes(row, first, 0.0));
-        for first in (0..dir.len()).step_by(LANES) {
-            let seen = dispatch(Look::<LANES> { lobe: self.lobe, dir: dir.rows(), first });
-            let target = lanes(target, first, NO_TARGET);
-            let glossy = Glossy { pdf: lanes(pdf, first, 0.0), visible: lanes(control, first, 0.0), target };
-            let (dir, radiance) = (rows(dir.rows(), first), rows(radiance.rows(), first));
-            self.add((&dir, &radiance, &seen, &glossy), (draws, of_lobe, pdf.len() - first), candidates);
-        }
-    }
-
-    fn add_proposed(&self, of_lobe: u32, draws: &Draws, candidates: &mut Candidates) {
-        let World { sampler, dome, .. } = self.world;
-        let proposed = std::mem::take(&mut candidates.proposed);
-        for (first, Proposed { dir, texel, seen }) in (0..).step_by(LANES).zip(&proposed) {
-            let texels = texel.map(|texel| dome.texels[texel as usize]);
-            let radiance = [0, 1, 2].map(|channel| texels.map(|texel| texel[channel]));
-            let glossy = sampler.glossy(draws, dir, texel, &radiance);
-            self.add((dir, &radiance, seen, &glossy), (draws, of_lobe, of_lobe as usize - first), candidates);
-        }
-        candidates.proposed = proposed;
-    }
-
-    /// Adds as many as there are, a register at most.
-    #[inline]
-    fn add(
-        &self,
-        (dir, radiance, seen, glossy): (&[[f32; LANES]; 3], &[[f32; LANES]; 3], &Seen<LANES>, &Glossy),
-        (draws, of_lobe, count): (&Draws, u32, usize),
-        candidates: &mut Candidates,
-    ) {
-        let (of_dome, of_lobe) = (draws.dir.len() as f32, of_lobe as f32);
-        let learned = !draws.control.is_empty();
-        let weigh = Weigh { gloss: self, dir, radiance, seen, glossy, of_dome, of_lobe, learned, count };
-        candidates.all.push(dispatch(weigh));
-    }
-
-    /// Queues those that were picked; returns what was expected of them, which rays now tell.
-    fn trace(&self, queue: &mut Queue) -> Vec3 {
-        let Queue { candidates, rays, contributions, targets, .. } = queue;
-        let Candidates { all, picked, .. } = candidates;
+    /// Queues those that were picked of so many registers; returns what was expected of them, which rays now tell.
+    fn trace(&self, all: usize, queue: &mut Queue) -> Vec3 {
+        let Queue { candidates: Candidates { registers, picked }, rays, contributions, targets, .. } = queue;
+        let registers = &registers[..all];
         let listens = self.world.sampler.listens();
         let mut expected = Vec3::ZERO;
         for &(i, counts) in &*picked {
-            let (Register { dir, brings, visible, target, .. }, i) = (&all[i as usize / LANES], i as usize % LANES);
+            let (Register { dir, brings, glossy, .. }, i) = (&registers[i as usize / LANES], i as usize % LANES);
             let of_lane = |rows: &[[f32; LANES]; 3]| Vec3::new(rows[0][i], rows[1][i], rows[2][i]);
             let brings = of_lane(brings) * (SURE as f32 / counts as f32);
-            expected += brings * visible[i];
+            expected += brings * glossy.visible[i];
             rays.push(Ray::new(self.origin, of_lane(dir)));
             contributions.push(brings);
             if listens {
-                targets.push(target[i]);
+                targets.push(glossy.target[i]);
             }
         }
         let count = picked.len() as u32;
         queue.add(count);
         expected
+    }
+}
+
+/// Proposes the lobe's candidates.
+struct ProposeAll<'a> {
+    gloss: &'a Gloss<'a>,
+    numbers: Numbers,
+    /// How many there are.
+    of: u32,
+    registers: &'a mut [Register],
+}
+
+impl Kernel for ProposeAll<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { gloss: Gloss { world, lobe, .. }, numbers, of, registers } = self;
+        for (first, register) in (0..).step_by(LANES).zip(registers) {
+            let proposed = Propose::<LANES> { lobe, grid: world.dome.grid, numbers, first, of }.run();
+            (register.dir, register.texel, register.seen) = (proposed.dir, proposed.texel, proposed.seen);
+        }
+    }
+}
+
+/// Takes over what was drawn from the dome, as the lobe sees it.
+struct LookAtAll<'a> {
+    lobe: &'a Lobe,
+    draws: &'a Draws,
+    registers: &'a mut [Register],
+}
+
+impl Kernel for LookAtAll<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { lobe, draws: Draws { dir, radiance, pdf, control, target, .. }, registers } = self;
+        for (first, register) in (0..).step_by(LANES).zip(registers) {
+            register.seen = Look::<LANES> { lobe, dir: dir.rows(), first }.run();
+            register.dir = dir.rows().map(|row| lanes(row, first, 0.0));
+            register.radiance = radiance.rows().map(|row| lanes(row, first, 0.0));
+            let (pdf, visible) = (lanes(pdf, first, 0.0), lanes(control, first, 0.0));
+            register.glossy = Glossy { pdf, visible, target: lanes(target, first, NO_TARGET) };
+        }
     }
 }
 
@@ -176,40 +209,59 @@ fn lanes<T: Copy>(list: &[T], first: usize, fill: T) -> [T; LANES] {
     lanes
 }
 
-/// What candidates bring, and how far that is in doubt.
-struct Weigh<'a> {
+/// Weighs all candidates and picks as many as there are rays, at most, by their doubt; returns what is expected of all.
+struct Pick<'a> {
     gloss: &'a Gloss<'a>,
-    dir: &'a [[f32; LANES]; 3],
-    radiance: &'a [[f32; LANES]; 3],
-    seen: &'a Seen<LANES>,
-    glossy: &'a Glossy,
-    /// How many are drawn from the dome, and how many from the lobe.
-    of_dome: f32,
-    of_lobe: f32,
+    /// How many registers are the lobe's.
+    by_lobe: usize,
+    /// How many candidates are the lobe's, and how many the dome's.
+    numbers: [usize; 2],
     /// Whether anything is known of what is visible.
     learned: bool,
-    /// Those beyond do not count.
-    count: usize,
+    /// A random word.
+    start: u32,
+    registers: &'a mut [Register],
+    picked: &'a mut Vec<(u32, u32)>,
 }
 
-impl Kernel for Weigh<'_> {
-    type Output = Register;
+impl Kernel for Pick<'_> {
+    type Output = Vec3;
 
     #[inline(always)]
-    fn run(self) -> Register {
-        let Self { gloss, dir, seen, of_dome, of_lobe, .. } = self;
-        let (&Glossy { pdf, visible, target }, [x, y, z]) = (self.glossy, dir);
+    fn run(self) -> Vec3 {
+        let Self { gloss, by_lobe, numbers: [of_lobe, of_dome], learned, start, registers, picked } = self;
+        let numbers = [of_lobe as f32, of_dome as f32];
+        let mut expected = [[0.0; LANES]; 3];
+        for (at, register) in registers.iter_mut().enumerate() {
+            let left = if at < by_lobe { of_lobe - at * LANES } else { of_dome - (at - by_lobe) * LANES };
+            register.weigh(gloss, numbers, left, learned);
+            for (expected, brings) in expected.iter_mut().zip(&register.brings) {
+                for i in 0..LANES {
+                    expected[i] += brings[i] * register.glossy.visible[i];
+                }
+            }
+        }
+        pick(gloss.rays, start, registers, picked);
+        Vec3::from(expected.map(|lanes| lanes.iter().sum()))
+    }
+}
+
+impl Register {
+    /// What each candidate brings, and how far that is in doubt; those beyond `left` nothing.
+    #[inline(always)]
+    fn weigh(&mut self, gloss: &Gloss<'_>, [of_lobe, of_dome]: [f32; 2], left: usize, learned: bool) {
+        let Self { dir: [x, y, z], radiance, seen, glossy: Glossy { pdf, visible, .. }, .. } = *self;
         let ng = gloss.point.ng;
         let mut share = [0.0; LANES];
         for i in 0..LANES {
             let (cosine, above) = (seen.cosine[i], x[i] * ng.x + y[i] * ng.y + z[i] * ng.z);
             let by_density = cosine / (of_dome * pdf[i] + of_lobe * seen.pdf[i]);
             // What is no number is not hidden: it is found out and counted.
-            let hidden = cosine <= 0.0 || above <= 0.0 || i >= self.count;
+            let hidden = cosine <= 0.0 || above <= 0.0 || i >= left;
             share[i] = if hidden { 0.0 } else { by_density };
         }
-        let mut brings = gloss.lobe.reflectances(seen);
-        for (brings, radiance) in brings.iter_mut().zip(self.radiance) {
+        let mut brings = gloss.lobe.reflectances(&seen);
+        for (brings, radiance) in brings.iter_mut().zip(&radiance) {
             for i in 0..LANES {
                 brings[i] = if share[i] == 0.0 { 0.0 } else { brings[i] * radiance[i] * share[i] };
             }
@@ -218,76 +270,42 @@ impl Kernel for Weigh<'_> {
         for i in 0..LANES {
             let spread = (visible[i] * (1.0 - visible[i])).sqrt();
             let spread = if spread > FLOOR { spread } else { FLOOR };
-            doubt[i] = (brings[0][i] + brings[1][i] + brings[2][i]) * if self.learned { spread } else { 1.0 };
+            doubt[i] = (brings[0][i] + brings[1][i] + brings[2][i]) * if learned { spread } else { 1.0 };
         }
-        Register { dir: *dir, brings, visible, doubt, target }
-    }
-}
-
-/// What candidates are expected to bring, all together.
-struct Expect<'a> {
-    candidates: &'a [Register],
-}
-
-impl Kernel for Expect<'_> {
-    type Output = Vec3;
-
-    #[inline(always)]
-    fn run(self) -> Vec3 {
-        let mut sums = [[0.0; LANES]; 3];
-        for Register { brings, visible, .. } in self.candidates {
-            for (sums, brings) in sums.iter_mut().zip(brings) {
-                for i in 0..LANES {
-                    sums[i] += brings[i] * visible[i];
-                }
-            }
-        }
-        Vec3::from(sums.map(|sums| sums.iter().sum()))
+        (self.brings, self.doubt) = (brings, doubt);
     }
 }
 
 /// Picks candidates for so many rays at most, by their doubt.
-struct Pick<'a> {
-    rays: u32,
-    /// A random word.
-    start: u32,
-    candidates: &'a mut Candidates,
-}
-
-impl Kernel for Pick<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Self { rays, start, candidates: Candidates { all, picked, .. } } = self;
-        // In next to no light it is still a number.
-        let by = (BY_DOUBT / step(all, rays)).min(f32::MAX);
-        let mut at = start % SURE;
-        // No branch: which are picked is random. One is written beyond the last.
-        picked.resize(all.len() * LANES + 1, (0, 0));
-        let mut count = 0;
-        for (i, &doubt) in all.iter().flat_map(|some| &some.doubt).enumerate() {
-            let counts = doubt * by;
-            let counts = if counts < SURE as f32 { counts as u32 } else { SURE };
-            // What brings anything has a chance.
-            let counts = counts.max(u32::from(doubt > 0.0));
-            picked[count] = (i as u32, counts);
-            at += counts;
-            count += (at / SURE) as usize;
-            at %= SURE;
-        }
-        picked.truncate(count);
+#[inline(always)]
+fn pick(rays: u32, start: u32, registers: &[Register], picked: &mut Vec<(u32, u32)>) {
+    // In next to no light it is still a number.
+    let by = (BY_DOUBT / step(registers, rays)).min(f32::MAX);
+    let mut at = start % SURE;
+    // No branch: which are picked is random. One is written beyond the last.
+    picked.resize(registers.len() * LANES + 1, (0, 0));
+    let mut count = 0;
+    for (i, &doubt) in registers.iter().flat_map(|register| &register.doubt).enumerate() {
+        let counts = doubt * by;
+        let counts = if counts < SURE as f32 { counts as u32 } else { SURE };
+        // What brings anything has a chance.
+        let counts = counts.max(u32::from(doubt > 0.0));
+        picked[count] = (i as u32, counts);
+        at += counts;
+        count += (at / SURE) as usize;
+        at %= SURE;
     }
+    picked.truncate(count);
 }
 
 /// The doubt that a ray stands for: those with more are traced for sure, and the others share what rays they leave.
 #[inline(always)]
-fn step(candidates: &[Register], rays: u32) -> f32 {
+fn step(registers: &[Register], rays: u32) -> f32 {
     let mut step = f32::MAX;
     // Each round finds more that are sure; what few it leaves out have their chance all the same.
     for _ in 0..4 {
         let (mut sums, mut sure) = ([0.0; LANES], [0.0; LANES]);
-        for Register { doubt, .. } in candidates {
+        for Register { doubt, .. } in registers {
             for i in 0..LANES {
                 let is_sure = doubt[i] >= step;
                 sums[i] += if is_sure { 0.0 } else { doubt[i] };
@@ -308,15 +326,15 @@ fn step(candidates: &[Register], rays: u32) -> f32 {
 mod tests {
     use super::*;
 
-    fn with_doubts(doubts: &[f32]) -> Candidates {
-        let with = |doubts: &[f32]| Register {
-            dir: Default::default(),
-            brings: Default::default(),
-            visible: Default::default(),
-            doubt: lanes(doubts, 0, 0.0),
-            target: Default::default(),
-        };
-        Candidates { all: doubts.chunks(LANES).map(with).collect(), ..Candidates::default() }
+    fn with_doubts(doubts: &[f32]) -> Vec<Register> {
+        let with = |doubts: &[f32]| Register { doubt: lanes(doubts, 0, 0.0), ..Register::EMPTY };
+        doubts.chunks(LANES).map(with).collect()
+    }
+
+    fn picked(rays: u32, start: u32, registers: &[Register]) -> Vec<(u32, u32)> {
+        let mut picked = Vec::new();
+        pick(rays, start, registers, &mut picked);
+        picked
     }
 
     /// Over all beginnings each candidate counts once, however little in doubt; and there are never more rays than asked for.
@@ -327,13 +345,13 @@ mod tests {
         let one_sun = [vec![1e9], vec![1.0; 30]].concat();
         for doubts in [vec![1.0; 40], vec![0.0; 3], vec![5.0], vec![1.0, 0.0, 1e-30], uneven, one_sun] {
             for rays in [1, 2, 7, 16, 64] {
-                let mut candidates = with_doubts(&doubts);
-                let mut counted = vec![0.0; candidates.all.len() * LANES];
+                let registers = with_doubts(&doubts);
+                let mut counted = vec![0.0; registers.len() * LANES];
                 let mut most = vec![0.0f64; counted.len()];
                 for start in 0..STARTS {
-                    Pick { rays, start: start * (SURE / STARTS), candidates: &mut candidates }.run();
-                    assert!(candidates.picked.len() <= rays as usize, "{rays} rays: {}", candidates.picked.len());
-                    for &(i, counts) in &candidates.picked {
+                    let picked = picked(rays, start * (SURE / STARTS), &registers);
+                    assert!(picked.len() <= rays as usize, "{rays} rays: {}", picked.len());
+                    for (i, counts) in picked {
                         let weight = f64::from(SURE) / f64::from(counts);
                         counted[i as usize] += weight / f64::from(STARTS);
                         most[i as usize] = weight;
@@ -354,15 +372,10 @@ mod tests {
     /// As many rays as candidates leave nothing to chance, nor does a sun beside a dim sky.
     #[test]
     fn what_is_most_in_doubt_is_traced_for_sure() {
-        let sure = |candidates: &Candidates, i: usize| candidates.picked.contains(&(i as u32, SURE));
         for start in (0..SURE).step_by(SURE as usize / 64) {
-            let mut candidates = with_doubts(&[1.0, 2.0, 3.0, 4.0]);
-            Pick { rays: 64, start, candidates: &mut candidates }.run();
-            assert_eq!(candidates.picked.len(), 4);
-            let mut candidates = with_doubts(&[&[1.0; 20][..], &[1e6], &[2.0; 20]].concat());
-            Pick { rays: 4, start, candidates: &mut candidates }.run();
-            assert!(sure(&candidates, 20), "{:?}", candidates.picked);
-            assert!(candidates.picked.len() >= 3);
+            assert_eq!(picked(64, start, &with_doubts(&[1.0, 2.0, 3.0, 4.0])).len(), 4);
+            let picked = picked(4, start, &with_doubts(&[&[1.0; 20][..], &[1e6], &[2.0; 20]].concat()));
+            assert!(picked.contains(&(20, SURE)) && picked.len() >= 3, "{picked:?}");
         }
     }
 }

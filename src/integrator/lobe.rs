@@ -53,7 +53,7 @@ impl Lobe {
 }
 
 /// How a lobe sees directions.
-#[derive(Debug)]
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Seen<const N: usize> {
     /// Cosine to the normal.
     pub(super) cosine: [f32; N],
@@ -65,6 +65,9 @@ pub(super) struct Seen<const N: usize> {
 }
 
 impl<const N: usize> Seen<N> {
+    /// No direction.
+    pub(super) const NOTHING: Self = Self { cosine: [0.0; N], body: [0.0; N], rim: [0.0; N], pdf: [0.0; N] };
+
     #[inline(always)]
     fn new(lobe: &Lobe, [x, y, z]: &[[f32; N]; 3]) -> Self {
         let mut seen = Self { cosine: *z, body: [0.0; N], rim: [0.0; N], pdf: [0.0; N] };
@@ -112,7 +115,6 @@ impl<const N: usize> Kernel for Look<'_, N> {
 }
 
 /// Directions that a lobe proposes.
-#[derive(Debug)]
 pub(super) struct Proposed<const N: usize> {
     /// Unit directions, a row a component.
     pub(super) dir: [[f32; N]; 3],

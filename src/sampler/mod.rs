@@ -160,10 +160,10 @@ pub struct Glossy {
     pub target: [u32; TOGETHER],
 }
 
-impl Default for Glossy {
-    fn default() -> Self {
-        Self { pdf: [0.0; TOGETHER], visible: [0.0; TOGETHER], target: [shadow_cache::NO_TARGET; TOGETHER] }
-    }
+impl Glossy {
+    /// Nothing is known.
+    pub const UNKNOWN: Self =
+        Self { pdf: [0.0; TOGETHER], visible: [0.0; TOGETHER], target: [shadow_cache::NO_TARGET; TOGETHER] };
 }
 
 /// What a sampler has to say after a render.
@@ -230,7 +230,7 @@ pub trait DomeSampler: Debug + Send + Sync {
         _texel: &[u32; TOGETHER],
         _radiance: &[[f32; TOGETHER]; 3],
     ) -> Glossy {
-        Glossy::default()
+        Glossy::UNKNOWN
     }
 
     /// Whether [`Self::expected`] has anything to go by yet.

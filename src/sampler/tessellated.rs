@@ -352,7 +352,7 @@ impl DomeSampler for Tessellated {
     ) -> Glossy {
         let Prepared { lobe: weights, glimpse, target, .. } = &drawn.prepared;
         if self.owners.is_empty() {
-            return Glossy::default();
+            return Glossy::UNKNOWN;
         }
         let visibility = glimpse.record().map(|slot| self.memory.visibility(slot));
         dispatch(LookUp { sampler: self, weights, visibility, target: *target, dir, texel, radiance })

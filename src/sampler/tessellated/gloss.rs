@@ -148,7 +148,7 @@ impl Kernel for LookUp<'_> {
         for i in 0..TOGETHER {
             energy[i] = f64::from(Dome::weight([r[i], g[i], b[i]])) * solid_angle[i];
         }
-        let mut glossy = Glossy::default();
+        let mut glossy = Glossy::UNKNOWN;
         for i in 0..TOGETHER {
             group[i] = owners.group(cell[i]);
             weight[i] = f64::from(weights.widths[group[i]]);
