@@ -1,6 +1,7 @@
 //! What a GGX lobe reflects of a white sky, by view and roughness: the "split sum" of Karis (2013), tabulated as needed.
 
-use super::{Specular, ggx};
+use super::{LEAST_ALPHA, ggx};
+use crate::simd::{Kernel, dispatch};
 use glam::Vec3;
 use std::sync::OnceLock;
 
@@ -9,7 +10,8 @@ const NODES: usize = 48;
 /// Where the nodes in the cosine crowd: a lobe changes most when seen at a slant.
 const SLANT: f32 = 0.2;
 /// Directions a node integrates over: half a turn (the other half mirrors it) × from the mirror's direction to the rim.
-const STEPS: [u32; 2] = [16, 32];
+const AROUND: usize = 16;
+const OUT: usize = 32;
 
 /// Share of f0 and share of f90, from grazing to head-on.
 type Row = [[f32; 2]; NODES];
@@ -30,42 +32,54 @@ pub(super) fn shares(cosine: f32, alpha: f32) -> [f32; 2] {
     let (row, y) = place(alpha.sqrt().min(1.0));
     let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
     let [low, high] = [row, row + 1].map(|i| {
-        let row = ROWS[i].get_or_init(|| tabulate(i as f32 / (NODES - 1) as f32));
+        let row = ROWS[i].get_or_init(|| dispatch(Tabulate { roughness: i as f32 / (NODES - 1) as f32 }));
         [0, 1].map(|k| mix(row[column][k], row[column + 1][k], x))
     });
     [0, 1].map(|k| mix(low[k], high[k], y))
 }
 
-fn tabulate(roughness: f32) -> Row {
-    std::array::from_fn(|i| {
-        let t = i as f32 / (NODES - 1) as f32;
-        integral(t * SLANT / (1.0 + SLANT - t), roughness)
-    })
+/// Makes the row of a roughness.
+struct Tabulate {
+    roughness: f32,
 }
 
-fn integral(cosine: f32, roughness: f32) -> [f32; 2] {
+impl Kernel for Tabulate {
+    type Output = Row;
+
+    #[inline(always)]
+    fn run(self) -> Row {
+        let alpha = (self.roughness * self.roughness).max(LEAST_ALPHA);
+        let mut row = [[0.0; 2]; NODES];
+        for (i, node) in row.iter_mut().enumerate() {
+            let t = i as f32 / (NODES - 1) as f32;
+            *node = integral(t * SLANT / (1.0 + SLANT - t), alpha);
+        }
+        row
+    }
+}
+
+#[inline(always)]
+fn integral(cosine: f32, alpha: f32) -> [f32; 2] {
     let cosine = cosine.clamp(1e-4, 1.0);
     let wo = Vec3::new((1.0 - cosine * cosine).sqrt(), 0.0, cosine);
-    // One channel reflects everything, one only what Schlick's term adds.
-    let lobe = Specular { alpha: (roughness * roughness).max(super::LEAST_ALPHA), f0: Vec3::X, f90: 1.0 };
-    let [around, out] = STEPS;
-    let (mut all, mut grazing) = (0.0, 0.0);
-    for (i, k) in (0..around).flat_map(|i| (0..out).map(move |k| (i, k))) {
-        let azimuth = (i as f32 + 0.5) / (2 * around) as f32;
-        // Squared: finest at the rim, where masking changes fastest.
-        let rest = 1.0 - (k as f32 + 0.5) / out as f32;
-        if let Some((.., weight)) = ggx::sample(&lobe, wo, [azimuth, 1.0 - rest * rest]) {
-            all += weight.x * 2.0 * rest;
-            grazing += weight.y * 2.0 * rest;
+    let (mut body, mut rim) = ([0.0; OUT], [0.0; OUT]);
+    for i in 0..AROUND {
+        let azimuth = (i as f32 + 0.5) / (2 * AROUND) as f32;
+        for k in 0..OUT {
+            // Squared: finest at the rim, where masking changes fastest.
+            let rest = 1.0 - (k as f32 + 0.5) / OUT as f32;
+            let shares = ggx::shares(alpha, wo, [azimuth, 1.0 - rest * rest]);
+            body[k] += shares[0] * rest;
+            rim[k] += shares[1] * rest;
         }
     }
-    let count = (around * out) as f32;
-    [(all - grazing) / count, grazing / count]
+    [body, rim].map(|sums| sums.iter().sum::<f32>() * (2.0 / (AROUND * OUT) as f32))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bsdf::Specular;
 
     /// Known ends: a mirror reflects Schlick's term at its own angle, and all of a lobe with F = 1 that stays single.
     #[test]

@@ -111,6 +111,19 @@ pub fn reflected(alpha: f32, wo: Vec3, u: [f32; 2]) -> Vec3 {
     mirrored(wo, half_vector(alpha, wo, u))
 }
 
+/// What a direction drawn as [`reflected`] is reflects, as shares of f0 and of f90: f·cos/density, which needs no D and is
+/// finite however narrow the lobe; nothing below the horizon.
+#[inline(always)]
+pub fn shares(alpha: f32, wo: Vec3, u: [f32; 2]) -> [f32; 2] {
+    let h = half_vector(alpha, wo, u);
+    let wi = mirrored(wo, h);
+    let (out, into) = (lambda(wo, alpha), lambda(wi, alpha));
+    let above = (wo.z > 0.0) & (wi.z > 0.0);
+    let share = if above { (1.0 + out) / (1.0 + out + into) } else { 0.0 };
+    let grazing = schlick(wo.dot(h));
+    [share * (1.0 - grazing), share * grazing]
+}
+
 #[inline(always)]
 fn mirrored(wo: Vec3, h: Vec3) -> Vec3 {
     let wi = 2.0 * wo.dot(h) * h - wo;
@@ -130,18 +143,16 @@ fn half_vector(alpha: f32, wo: Vec3, u: [f32; 2]) -> Vec3 {
     h * (1.0 / at_least(h.length_squared(), f32::MIN_POSITIVE).sqrt())
 }
 
-/// The same with its density and the weight f·cos/density, which needs no D and is finite however narrow the lobe. `None`
-/// below the horizon (the weight is 0).
+/// A direction drawn as [`reflected`] is, its density and its f·cos/density. `None` below the horizon.
 pub fn sample(lobe: &Specular, wo: Vec3, u: [f32; 2]) -> Option<(Vec3, f32, Vec3)> {
-    let alpha = lobe.alpha;
-    let h = half_vector(alpha, wo, u);
+    let h = half_vector(lobe.alpha, wo, u);
     let wi = mirrored(wo, h);
     if wo.z <= 0.0 || wi.z <= 0.0 {
         return None;
     }
-    let (out, into) = (lambda(wo, alpha), lambda(wi, alpha));
-    let density = distribution(h, alpha) / ((1.0 + out) * 4.0 * wo.z);
-    Some((wi, density, lobe.fresnel(wo.dot(h)) * ((1.0 + out) / (1.0 + out + into))))
+    let density = distribution(h, lobe.alpha) / ((1.0 + lambda(wo, lobe.alpha)) * 4.0 * wo.z);
+    let [body, rim] = shares(lobe.alpha, wo, u);
+    Some((wi, density, lobe.f0 * body + lobe.f90 * rim))
 }
 
 #[cfg(test)]
