@@ -281,7 +281,8 @@ impl Register {
 fn pick(rays: u32, start: u32, registers: &[Register], picked: &mut Vec<(u32, u32)>) {
     // In next to no light it is still a number.
     let by = (BY_DOUBT / step(registers, rays)).min(f32::MAX);
-    let mut at = start % SURE;
+    // The upper bits are the stratified ones.
+    let mut at = start >> (u32::BITS - SURE.ilog2());
     // No branch: which are picked is random. One is written beyond the last.
     picked.resize(registers.len() * LANES + 1, (0, 0));
     let mut count = 0;
@@ -349,7 +350,7 @@ mod tests {
                 let mut counted = vec![0.0; registers.len() * LANES];
                 let mut most = vec![0.0f64; counted.len()];
                 for start in 0..STARTS {
-                    let picked = picked(rays, start * (SURE / STARTS), &registers);
+                    let picked = picked(rays, start << (u32::BITS - STARTS.ilog2()), &registers);
                     assert!(picked.len() <= rays as usize, "{rays} rays: {}", picked.len());
                     for (i, counts) in picked {
                         let weight = f64::from(SURE) / f64::from(counts);
@@ -372,7 +373,7 @@ mod tests {
     /// As many rays as candidates leave nothing to chance, nor does a sun beside a dim sky.
     #[test]
     fn what_is_most_in_doubt_is_traced_for_sure() {
-        for start in (0..SURE).step_by(SURE as usize / 64) {
+        for start in (0..64).map(|start| start << 26) {
             assert_eq!(picked(64, start, &with_doubts(&[1.0, 2.0, 3.0, 4.0])).len(), 4);
             let picked = picked(4, start, &with_doubts(&[&[1.0; 20][..], &[1e6], &[2.0; 20]].concat()));
             assert!(picked.contains(&(20, SURE)) && picked.len() >= 3, "{picked:?}");

@@ -30,6 +30,19 @@ fn base(value: f32) -> Vec4 {
     Vec4::new(value, value, value, 1.0)
 }
 
+/// Goes wrong with: a table of lit texels that has no entry.
+#[test]
+fn a_black_dome_shows_nothing_in_a_lobe() {
+    let black = dome(64, 32, |_, _| [0.0; 3]);
+    for (metallic, roughness) in [(0.0, 0.3), (1.0, 0.3), (1.0, 0.0), (0.98, 1.0)] {
+        let material = Material { metallic, roughness, ..Material::default() };
+        for sampler in ["tessellated", "tessellated:cache=off", "tessellated:mode=seed", "latlong", "latlong:mis"] {
+            let (mean, _) = seen(&material, &black, 30.0, Shot { sampler, ..Shot::default() });
+            assert_eq!(mean, DVec3::ZERO, "{sampler}, metallic {metallic}, roughness {roughness}");
+        }
+    }
+}
+
 /// White in a white sky: nothing gains light. Goes wrong with: a lobe whose density and value differ, light counted by
 /// both strategies, a diffuse lobe that is not dimmed by what the gloss above it reflects.
 ///

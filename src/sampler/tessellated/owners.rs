@@ -34,7 +34,7 @@ impl Owners {
     }
 
     pub(super) fn is_empty(&self) -> bool {
-        self.leaf.is_empty()
+        self.slots.is_empty()
     }
 
     /// Asks for the memory of [`Self::slot`].
