@@ -162,10 +162,20 @@ fn assert_same(what: &str, pictures: &Pictures, reference: &Pictures) {
 
 /// With the sun, `spp` samples and a cache that `mislead` has filled.
 fn assert_unbiased(what: &str, spp: u32, mislead: impl Fn(&mut dyn DomeSampler, &Arc<Dome>, u32) + Sync) {
-    let (stage, dome) = (Stage::new(occluders()), sun());
+    assert_unbiased_of(occluders(), &BRUTE_FORCE, what, spp, mislead);
+}
+
+fn assert_unbiased_of(
+    parts: Vec<(Mesh, Material)>,
+    reference: &Pictures,
+    what: &str,
+    spp: u32,
+    mislead: impl Fn(&mut dyn DomeSampler, &Arc<Dome>, u32) + Sync,
+) {
+    let (stage, dome) = (Stage::new(parts), sun());
     let make = || sampler(CACHE, &dome, 8);
     let pictures = take(&stage.shot(&dome, spp, 8), 0, make, |sampler, seed| mislead(sampler, &dome, seed));
-    assert_same(what, &pictures, &BRUTE_FORCE);
+    assert_same(what, &pictures, reference);
 }
 
 #[test]
@@ -228,10 +238,7 @@ fn a_warm_cache() {
 
 /// The same of what is polished.
 fn assert_unbiased_polished(what: &str, spp: u32, mislead: impl Fn(&mut dyn DomeSampler, &Arc<Dome>, u32) + Sync) {
-    let (stage, dome) = (Stage::new(polished()), sun());
-    let make = || sampler(CACHE, &dome, 8);
-    let pictures = take(&stage.shot(&dome, spp, 8), 0, make, |sampler, seed| mislead(sampler, &dome, seed));
-    assert_same(what, &pictures, &BRUTE_FORCE_POLISHED);
+    assert_unbiased_of(polished(), &BRUTE_FORCE_POLISHED, what, spp, mislead);
 }
 
 /// Candidates for the lobe, more of them than rays, and what the cache takes off them.
