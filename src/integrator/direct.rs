@@ -12,7 +12,7 @@
 use super::gloss::Gloss;
 use super::lambert::Lambert;
 use super::lobe::{Lobe, Look, Propose, Proposed};
-use super::{Among, Integrator, MakeIntegrator, Queue, Shading, World};
+use super::{Among, Integrator, MakeIntegrator, Post, Queue, Shading, World};
 use crate::accel::Ray;
 use crate::bsdf::{Bsdf, Specular};
 use crate::dome::Dome;
@@ -108,10 +108,10 @@ impl Integrator for Direct {
         sampler.expects()
     }
 
-    fn expected(&self, world: &World<'_>, point: &Shading<'_>, draws: &mut Draws) -> Vec3 {
+    fn expected(&self, world: &World<'_>, point: &Shading<'_>, draws: &mut Draws) -> (Vec3, Option<Post>) {
         let surface = point.surface;
         if surface.unlit {
-            return surface.base_color;
+            return (surface.base_color, None);
         }
         let bsdf = Bsdf::new(surface, point.wo);
         // A wide lobe shows about what the normal's side shines with; of a narrower one that says nothing, nor of what comes
@@ -119,9 +119,13 @@ impl Integrator for Direct {
         let wide = bsdf.specular.filter(|lobe| lobe.alpha >= WIDE);
         let reflects = bsdf.diffuse + wide.map_or(Vec3::ZERO, |lobe| lobe.body(point.wo.dot(surface.ns)));
         if reflects == Vec3::ZERO {
-            return surface.emission;
+            return (surface.emission, None);
         }
-        surface.emission + reflects * FRAC_1_PI * world.sampler.expected(&sampled(point, bsdf), draws)
+        let (irradiance, alike) = world.sampler.expected(&sampled(point, bsdf), draws);
+        let k = bsdf.diffuse * FRAC_1_PI;
+        let lambert = Lambert { origin: Vec3::ZERO, ng: surface.ng, ns: surface.ns, k };
+        let post = alike.filter(|_| k != Vec3::ZERO).map(|alike| Post { alike, lambert, expected: k * irradiance });
+        (surface.emission + reflects * FRAC_1_PI * irradiance, post)
     }
 }
 
@@ -199,12 +203,25 @@ impl Shade<'_> {
         let k = self.bsdf.diffuse * FRAC_1_PI;
         // All directions are on the normal's side: they begin at one place.
         let origin = offset_origin(surface.position, surface.error, ng, ng);
-        let control = if self.is_apart() {
-            Lambert { origin, ng, ns, k }.queue(draws, queue)
-        } else {
-            self.both(draws, queue, origin)
-        };
-        k * (draws.integral - control)
+        if !self.is_apart() {
+            return k * (draws.integral - self.both(draws, queue, origin));
+        }
+        let lambert = Lambert { origin, ng, ns, k };
+        let posts = self.point.posts;
+        if let [Some(first), _, ..] = posts
+            && draws.dir.len() > 1
+        {
+            let own = Post { lambert, ..*first };
+            let shuffle = queue.notes.then(|| self.point.numbers.word(0, 0xdea1));
+            let hand = draws.dealt.deal(&own, posts, draws.dir.len(), shuffle);
+            let first = queue.rays.len();
+            let control = lambert.queue(true, draws, queue);
+            if queue.notes {
+                queue.note(first, draws, &own, posts);
+            }
+            return hand.k * draws.integral - control + hand.beside;
+        }
+        k * draws.integral - lambert.queue(false, draws, queue)
     }
 
     /// Directions from the dome for both terms; returns the control variate's mean over them. The diffuse term goes by the
@@ -343,7 +360,7 @@ mod tests {
             unlit: false,
         };
         let numbers = Numbers { seed: 0, sample: 0 };
-        let point = Shading { pixel: [0; 2], distance: 1.0, wo: Vec3::Z, surface: &surface, numbers, rays };
+        let point = Shading { pixel: [0; 2], distance: 1.0, wo: Vec3::Z, surface: &surface, numbers, rays, posts: &[] };
         Shares::new(&point, &Bsdf::new(&surface, Vec3::Z), sampler)
     }
 

@@ -4,13 +4,16 @@
 //! adds if it arrives. The renderer traces a tile's queue in large batches.
 
 pub mod ao;
+mod dealt;
 pub mod direct;
 mod gloss;
 mod lambert;
 mod lobe;
 pub mod visibility;
 
+pub use dealt::{Deal, Dealt};
 pub use gloss::Candidates;
+pub use lambert::Lambert;
 
 use crate::accel::{Accel, Ray};
 use crate::dome::Dome;
@@ -50,6 +53,19 @@ pub struct Shading<'a> {
     pub numbers: Numbers,
     /// Shadow rays at most.
     pub rays: u32,
+    /// What all of its sample's camera rays met, the point itself first, as far as rays may begin there; empty if it is alone.
+    pub posts: &'a [Option<Post>],
+}
+
+/// A point that rays drawn for another one of its sample may begin at.
+#[derive(Debug, Clone, Copy)]
+pub struct Post {
+    /// The same for all that may: see [`DomeSampler::expected`].
+    pub alike: u64,
+    /// Its diffuse term.
+    pub lambert: Lambert,
+    /// What that is taken for, W·m⁻²·sr⁻¹ a channel.
+    pub expected: Vec3,
 }
 
 /// A camera ray among those of its sample.
@@ -78,6 +94,12 @@ pub struct Queue {
     pub hidden: Vec<(u32, u32)>,
     /// The camera sample that is being shaded.
     pub sample: u32,
+    /// Whether deals are noted, for [`Self::saved`].
+    pub notes: bool,
+    /// Those noted.
+    pub deals: Vec<Deal>,
+    /// Of each of their rays what the control variate takes for it, a luminance, and the camera ray that it begins at.
+    pub residuals: Vec<(f32, u8)>,
     /// Scratch: directions that a lobe might take.
     pub candidates: Candidates,
 }
@@ -134,6 +156,8 @@ impl Queue {
         self.samples.clear();
         self.targets.clear();
         self.hidden.clear();
+        self.deals.clear();
+        self.residuals.clear();
     }
 }
 
@@ -152,9 +176,10 @@ pub trait Integrator: Debug + Send + Sync {
     }
 
     /// What a point is taken for where no shadow ray is traced: any function of the point and of what was learned before
-    /// this stage, the nearer to its radiance the better. `draws` is scratch.
-    fn expected(&self, _world: &World<'_>, _point: &Shading<'_>, _draws: &mut Draws) -> Vec3 {
-        Vec3::ZERO
+    /// this stage, the nearer to its radiance the better. And what it is to its sample's other points, but for where rays
+    /// begin, if anything. `draws` is scratch.
+    fn expected(&self, _world: &World<'_>, _point: &Shading<'_>, _draws: &mut Draws) -> (Vec3, Option<Post>) {
+        (Vec3::ZERO, None)
     }
 
     /// Whether [`Self::shade`] leaves a surface's reflections to [`Self::mirrored`].

@@ -27,6 +27,7 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
     }
     let contributions = queue.contributions.resize(queue.rays.len(), 0);
     counts.max_weight = counts.max_weight.max(dispatch(Arrive { contributions, occluded: &s.occluded }));
+    s.saved.extend(queue.saved());
     let [r, g, b] = queue.contributions.rows();
     let mut first = 0;
     for &(sample, rays) in &queue.samples {

@@ -26,26 +26,30 @@ const SIDE: u32 = 8;
 /// Ranks there are.
 const RANKS: u32 = SIDE * SIDE;
 
-/// A pixel's place in an order of squares of 8 × 8 pixels in which each beginning of 2ⁿ is a lattice (Bayer 1973).
-fn rank(x: u32, y: u32) -> u32 {
+/// Ranks in an order of squares of 8 × 8 pixels in which each beginning of 2ⁿ is a lattice (Bayer 1973), row by row.
+const RANK: [[u8; SIDE as usize]; SIDE as usize] = {
     const WIDE: usize = SIDE as usize;
-    const OF: [[u8; WIDE]; WIDE] = {
-        let mut of = [[0; WIDE]; WIDE];
-        let mut at = 0;
-        while at < WIDE * WIDE {
-            // The first one is not at the edge of the image, where there are fewer around it.
-            let (x, y) = (at % WIDE + 3, at / WIDE + 3);
-            let mut bit = 0;
-            while bit < 3 {
-                let pair = ((x ^ y) >> bit & 1) << 1 | (y >> bit & 1);
-                of[at / WIDE][at % WIDE] |= (pair as u8) << (4 - 2 * bit);
-                bit += 1;
-            }
-            at += 1;
+    let mut of = [[0; WIDE]; WIDE];
+    let mut at = 0;
+    while at < WIDE * WIDE {
+        let (x, y) = (at % WIDE, at / WIDE);
+        let mut bit = 0;
+        while bit < 3 {
+            let pair = ((x ^ y) >> bit & 1) << 1 | (y >> bit & 1);
+            of[y][x] |= (pair as u8) << (4 - 2 * bit);
+            bit += 1;
         }
-        of
-    };
-    u32::from(OF[y as usize % WIDE][x as usize % WIDE])
+        at += 1;
+    }
+    of
+};
+
+/// By how much the order of a square is turned over, across and down: a line along a row of pixels must not hide from what
+/// a stage takes.
+fn turned([x, y]: [u32; 2]) -> [u32; 2] {
+    // Eight squares in a row take all turns, four of them both parities.
+    let turn = |square: u32| square.reverse_bits() >> 29 ^ square & 1;
+    [turn(y / SIDE) ^ 3, turn(x / SIDE) ^ 3]
 }
 
 impl Lattice {
@@ -61,21 +65,18 @@ impl Lattice {
         self.to == 1
     }
 
-    fn takes(self, x: u32, y: u32) -> bool {
-        let rank = rank(x, y);
-        (self.from..self.to).contains(&rank) || self.returns && rank == 0
+    fn has(self, rank: u8) -> bool {
+        (self.from..self.to).contains(&u32::from(rank)) || self.returns && rank == 0
     }
 
     /// The columns of a row that are taken, from left to right.
     pub(super) fn columns(self, y: u32, across: Range<u32>) -> impl Iterator<Item = u32> {
-        let (mut taken, mut count) = ([0; SIDE as usize], 0);
-        for x in (0..SIDE).filter(|&x| self.takes(x, y)) {
-            taken[count] = x;
-            count += 1;
-        }
-        // Squares that have none cost no look at their pixels.
-        let squares = (across.start / SIDE..across.end.div_ceil(SIDE)).take(if count > 0 { usize::MAX } else { 0 });
-        let columns = squares.flat_map(move |square| (0..count).map(move |i| square * SIDE + taken[i]));
+        let squares = across.start / SIDE..across.end.div_ceil(SIDE);
+        let columns = squares.flat_map(move |square| {
+            let [across, down] = turned([square * SIDE, y]);
+            let row = &RANK[((y ^ down) % SIDE) as usize];
+            (0..SIDE).filter(move |x| self.has(row[(x ^ across) as usize])).map(move |x| square * SIDE + x)
+        });
         columns.filter(move |x| across.contains(x))
     }
 
@@ -201,11 +202,35 @@ mod tests {
     use crate::film::Filter;
     use crate::render::Background;
 
+    /// A pixel's rank in the order of its square.
+    fn rank(x: u32, y: u32) -> u8 {
+        let [across, down] = turned([x, y]);
+        RANK[((y ^ down) % SIDE) as usize][((x ^ across) % SIDE) as usize]
+    }
+
+    impl Lattice {
+        fn takes(self, x: u32, y: u32) -> bool {
+            self.has(rank(x, y))
+        }
+    }
+
+    /// Whatever row or column a line runs along, and in whatever region of 32 × 32 pixels: half of a region's squares have
+    /// pixels there that are looked at.
+    #[test]
+    fn no_line_along_a_row_hides() {
+        let looked_at = Lattice { from: 1, to: 16, returns: false };
+        for (from, line) in (0..4).flat_map(|region| (0..64).map(move |line| (32 * region, line))) {
+            let across = (from..from + 32).filter(|&x| looked_at.takes(x, line)).count();
+            let down = (from..from + 32).filter(|&y| looked_at.takes(line, y)).count();
+            assert!(across >= 6 && down >= 6, "line {line} from {from}: {across} and {down} of 32");
+        }
+    }
+
     /// After any stage every square that should hold one of the pixels taken so far does; where none could be one, every upright half.
     #[test]
     fn stages_are_spread_evenly() {
         for stage in Lattice::stages().filter(|stage| !stage.is_first()) {
-            let taken = |x: u32, y: u32| rank(x, y) < stage.to;
+            let taken = |x: u32, y: u32| u32::from(rank(x, y)) < stage.to;
             let side = 8 >> (stage.to.ilog2() / 2);
             let wide = if stage.to.ilog2().is_multiple_of(2) { side } else { side / 2 };
             for (x, y) in (0..8).step_by(wide as usize).flat_map(|x| (0..8).step_by(side as usize).map(move |y| (x, y)))
@@ -251,7 +276,7 @@ mod tests {
                 let whole: u32 = of_pixel().filter(|pass| pass.weight == 1.0).map(|pass| pass.count).sum();
                 assert_eq!(whole, spp, "pixel {x}, {y}");
                 let beside = of_pixel().filter(|pass| pass.weight < 1.0).count();
-                assert_eq!(beside, usize::from(x % 8 == 5 && y % 8 == 5), "pixel {x}, {y}");
+                assert_eq!(beside, usize::from(rank(x, y) == 0), "pixel {x}, {y}");
                 taken += of_pixel().map(|pass| pass.count).sum::<u32>();
             }
             // Every learning stage ends, but one that ends the render.

@@ -2,8 +2,9 @@
 //!
 //! Camera samples that trace shadow rays have others beside them that don't: those show what the sampler expects there,
 //! C, and the shaded ones how it is wrong, I − C. The mean of C over all and of I − C over the shaded is unbiased whatever C
-//! is, and edges, textures and bumps inside a pixel are seen by cheap rays ([`Integrator::expected`]). What mirrors show is
-//! traced by all of them, each its share of the rays ([`Integrator::mirrored`]).
+//! is, and edges, textures and bumps inside a pixel are seen by cheap rays ([`Integrator::expected`]). A shaded sample's own
+//! rays begin at all of them that may stand in for it ([`Post`]). What mirrors show is traced by all of them, each its share
+//! of the rays ([`Integrator::mirrored`]).
 
 use super::flush::flush;
 use super::schedule::{self, Looks, Pass};
@@ -14,10 +15,10 @@ use crate::dome::Dome;
 use crate::dome::project::Grid;
 use crate::film::{AovSample, Part, Sample};
 use crate::integrator::visibility::{self, nearest};
-use crate::integrator::{Among, Queue, Shading, World};
+use crate::integrator::{Among, Lambert, Post, Queue, Shading, World};
 use crate::random;
 use crate::sampler::{DomeSampler, Draws, Numbers};
-use crate::scene::Surface;
+use crate::scene::{Surface, offset_origin};
 use crate::simd::{Kernel, dispatch};
 use glam::Vec3;
 
@@ -33,7 +34,7 @@ impl Render<'_> {
         match (self.settings.camera_rays, pass.looks) {
             _ if !self.integrator.expects(sampler) => 1,
             (Some(views), _) => views,
-            (None, Looks { least, .. }) => views.of(pixel, self.settings.rays).max(least),
+            (None, Looks { least, .. }) => views.of(pixel).max(least),
         }
     }
 
@@ -67,10 +68,11 @@ impl Render<'_> {
             let views = self.views(world.sampler, (pass, seen), pixel);
             for sample in pass.first..pass.first + pass.count {
                 let numbers = Numbers { seed: numbers, sample };
-                // Shaded samples have the beginning of the sequence, one stratified set; all together are another.
+                // All samples' first camera rays have the beginning of the sequence, their second ones what follows: each
+                // are a stratified set.
                 let at = pass.before + sample;
                 for view in 0..views {
-                    let place = if view == 0 { at } else { each + at * (views - 1) + view - 1 };
+                    let place = each * view + at;
                     s.cameras.push(CameraSample { pixel, place, places, numbers, view, views });
                 }
                 if s.cameras.len() >= CHUNK {
@@ -95,6 +97,9 @@ impl Render<'_> {
         s.samples.clear();
         s.expected.clear();
         s.mirrored.clear();
+        s.posts.clear();
+        s.saved.clear();
+        s.queue.notes = pass.looks.about;
         let gloss = self.scene.needs.gloss;
         dispatch(Places { cameras: &s.cameras, places: &mut s.places });
         for (&CameraSample { pixel: [x, y], .. }, &[u, v]) in s.cameras.iter().zip(&s.places) {
@@ -118,6 +123,9 @@ impl Render<'_> {
                     s.expected.push(sample.radiance);
                 }
                 s.samples.push(sample);
+                if views > 1 {
+                    s.posts.push(None);
+                }
                 continue;
             }
             let refined = || self.scene.refined(ray, hit);
@@ -129,10 +137,21 @@ impl Render<'_> {
                 (surface.position, surface.error) = self.scene.place(&refined());
             }
             let rays = self.settings.rays;
-            let point = Shading { pixel, distance: hit.t, wo: -ray.dir, surface: &surface, numbers, rays };
+            let point = Shading { pixel, distance: hit.t, wo: -ray.dir, surface: &surface, numbers, rays, posts: &[] };
             let mut radiance = Vec3::ZERO;
+            let first = s.posts.len() - if views > 1 { camera.view as usize } else { 0 };
             if views > 1 {
-                radiance = self.integrator.expected(world, &point, &mut s.draws);
+                let mut post;
+                (radiance, post) = self.integrator.expected(world, &point, &mut s.draws);
+                if !shaded {
+                    let of = s.posts[first];
+                    post = post.filter(|post| camera.view < rays && of.is_some_and(|of| of.alike == post.alike));
+                    if let Some(Post { lambert: Lambert { origin, ng, .. }, .. }) = &mut post {
+                        let (position, error) = self.scene.place(&refined());
+                        *origin = offset_origin(position, error, *ng, *ng);
+                    }
+                }
+                s.posts.push(post);
             }
             let aovs = self.settings.aovs.then_some(AovSample {
                 albedo: surface.base_color,
@@ -145,7 +164,7 @@ impl Render<'_> {
             if shaded {
                 s.expected.push(radiance);
                 self.integrator.begin(world, &point, &mut s.draws);
-                let next = Waiting { sample: i, distance: hit.t, surface, mirrors };
+                let next = Waiting { sample: i, posts: first, distance: hit.t, surface, mirrors };
                 if let Some(before) = waiting.replace(next) {
                     self.shade(world, pass, &before, s, counts);
                 }
@@ -180,6 +199,7 @@ impl Render<'_> {
         let light = |radiance: Vec3| Dome::weight(radiance.to_array());
         let mut first = 0;
         let mut mirrors = s.mirrored.iter().peekable();
+        let mut saved = s.saved.iter().peekable();
         for &expected in &s.expected {
             let CameraSample { pixel, views, .. } = s.cameras[first];
             let of_sample = &s.samples[first..first + views as usize];
@@ -189,19 +209,21 @@ impl Render<'_> {
             let shown = mirrors.next_if(|mirrored| mirrored.0 as usize == first).map_or(expected, |m| expected + m.1);
             let known = light(shown) + (s.lights[0] - light(expected)) / views as f32;
             s.lights[0] = light(shown);
-            seen.notice(pixel, &s.lights, (known, s.hits[first].is_hit()));
+            let saved = saved.next_if(|saved| saved.0 as usize == first).map_or(0.0, |saved| saved.1);
+            seen.notice(pixel, &s.lights, (known, s.hits[first].is_hit()), saved);
             first += views as usize;
         }
     }
 
     /// Shades a sample: what it is expected to be makes way for what is known, and for what its rays will bring.
     fn shade(&self, world: &World<'_>, pass: &Pass, waiting: &Waiting, s: &mut Scratch, counts: &mut Counts) {
-        let &Waiting { sample, distance, ref surface, mirrors } = waiting;
+        let &Waiting { sample, posts, distance, ref surface, mirrors } = waiting;
         let camera = s.cameras[sample];
         let CameraSample { pixel, numbers, views, .. } = camera;
         let views = views as f32;
         let rays = self.settings.rays;
-        let point = Shading { pixel, distance, wo: -s.rays[sample].dir, surface, numbers, rays };
+        let posts = &s.posts[posts..][..if camera.views > 1 { camera.views as usize } else { 0 }];
+        let point = Shading { pixel, distance, wo: -s.rays[sample].dir, surface, numbers, rays, posts };
         s.queue.sample = sample as u32;
         let known = self.integrator.shade(world, &point, &mut s.draws, &mut s.queue);
         let radiance = &mut s.samples[sample].radiance;
@@ -317,6 +339,8 @@ impl Kernel for Texels<'_> {
 /// A sample to be shaded when the next one has begun.
 struct Waiting {
     sample: usize,
+    /// Where in the list its sample's posts begin, if it is not alone.
+    posts: usize,
     /// From the camera, metres.
     distance: f32,
     surface: Surface,
@@ -332,6 +356,8 @@ pub(super) struct Scratch {
     places: Vec<[f32; 2]>,
     rays: Vec<Ray>,
     hits: Vec<Hit>,
+    /// What those of samples that have several met, as far as shadow rays may begin there.
+    posts: Vec<Option<Post>>,
     /// Directions of the rays that hit nothing, and the dome's texels there.
     missed: Vec<Vec3>,
     sky: Vec<u32>,
@@ -340,6 +366,8 @@ pub(super) struct Scratch {
     expected: Vec<Vec3>,
     /// Which of these mirror something, and what.
     pub(super) mirrored: Vec<(u32, Vec3)>,
+    /// What dealing out the rays of shaded ones saves: see [`Queue::saved`].
+    pub(super) saved: Vec<(u32, f32)>,
     lights: Vec<f32>,
     pub(super) occluded: Vec<u8>,
     draws: Draws,

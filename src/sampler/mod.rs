@@ -21,6 +21,7 @@ pub mod uniform;
 use crate::bsdf::Bsdf;
 use crate::dome::Dome;
 use crate::error::Result;
+use crate::integrator::Dealt;
 use crate::random;
 use crate::registry::{Params, Plugin};
 use crate::vectors::Vectors;
@@ -98,6 +99,8 @@ pub struct Draws {
     pub target: Vec<u32>,
     /// Scratch of the integrator's: what becomes of each direction.
     pub fate: Vec<u32>,
+    /// Scratch of the integrator's: who has which.
+    pub dealt: Dealt,
     /// Scratch of the sampler's own: what it prepared for this point.
     pub prepared: Prepared,
     /// Look-ups in the shadow cache since the last [`DomeSampler::tally`].
@@ -239,9 +242,10 @@ pub trait DomeSampler: Debug + Send + Sync {
     }
 
     /// About the irradiance at a point, W·m⁻² a channel, for a fraction of what a draw costs: a function of the point and
-    /// of what was learned before this stage. `out` is scratch.
-    fn expected(&self, _point: &Point, _out: &mut Draws) -> Vec3 {
-        Vec3::ZERO
+    /// of what was learned before this stage. And, if any other point of its pixel has directions drawn for it with the same
+    /// density, a number that those have in common. `out` is scratch.
+    fn expected(&self, _point: &Point, _out: &mut Draws) -> (Vec3, Option<u64>) {
+        (Vec3::ZERO, None)
     }
 
     /// Whether later stages profit from what earlier ones saw.

@@ -366,9 +366,11 @@ impl DomeSampler for Tessellated {
         self.memory.is_warm()
     }
 
-    fn expected(&self, point: &Point, out: &mut Draws) -> Vec3 {
+    fn expected(&self, point: &Point, out: &mut Draws) -> (Vec3, Option<u64>) {
         let record = self.memory.read(point, &mut out.prepared.found);
-        self.expected.irradiance(record, ShadowCache::axis(point.ng), point.ns)
+        // Weights are a cell's of normals and a record's.
+        let alike = record.as_ref().map(|record| (self.normals.cell(point.ns) as u64) << 32 | u64::from(record.slot));
+        (self.expected.irradiance(record, ShadowCache::axis(point.ng), point.ns), alike)
     }
 
     fn place(&self, pixel: [u32; 2], seed: u32) -> u32 {

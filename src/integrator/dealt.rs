@@ -1,0 +1,168 @@
+//! A point's directions dealt out to all that its sample's camera rays met.
+//!
+//! Where visibility changes inside a pixel, as at a sun's hard shadow, all rays from one place find out the same. From several
+//! places they find out more, and are no more rays. One drawn for the first camera ray's point may begin at another one's if
+//! the sampler would have drawn it there with the same density ([`crate::sampler::DomeSampler::expected`] says where). Of two
+//! such places either is as likely to be the first: what a ray brings in the mean over the pixel stays what it is, whether or
+//! not it moves.
+
+use super::lambert::TRACED;
+use super::{Lambert, Post, Queue};
+use crate::dome::Dome;
+use crate::sampler::Draws;
+use glam::Vec3;
+
+/// Directions after which a deal begins anew.
+pub(super) const HANDS: usize = 16;
+
+/// Who has which direction.
+#[derive(Debug, Default)]
+pub struct Dealt {
+    /// Where rays begin.
+    pub(super) origin: [Vec3; HANDS],
+    /// Whether all that differs is where rays begin: the rows below are not filled in.
+    pub(super) is_flat: bool,
+    /// As in [`Lambert`], a row a component.
+    pub(super) ng: [[f32; HANDS]; 3],
+    pub(super) ns: [[f32; HANDS]; 3],
+    pub(super) k: [[f32; HANDS]; 3],
+    /// Whose directions they are, by camera ray.
+    view: [u8; HANDS],
+}
+
+/// What a deal comes to, in the mean over the directions.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Hand {
+    /// Reflectance/π.
+    pub(super) k: Vec3,
+    /// By how much more the first point's diffuse term is expected to be.
+    pub(super) beside: Vec3,
+}
+
+impl Dealt {
+    /// Deals `count` directions out among `posts`, of which `own` is the first: in turn, or shuffled by a word.
+    pub(super) fn deal(&mut self, own: &Post, posts: &[Option<Post>], count: usize, shuffle: Option<u32>) -> Hand {
+        let views = posts.len().min(HANDS);
+        let first = &own.lambert;
+        self.origin = [first.origin; HANDS];
+        self.view = [0; HANDS];
+        self.is_flat = posts[1..views].iter().flatten().all(|post| post.lambert.is_like(first));
+        if !self.is_flat {
+            let splat = |v: Vec3| v.to_array().map(|x| [x; HANDS]);
+            (self.ng, self.ns, self.k) = (splat(first.ng), splat(first.ns), splat(first.k));
+        }
+        let mut sum = Hand { k: first.k * count as f32, beside: Vec3::ZERO };
+        for hand in 0..count.min(HANDS) {
+            let view = shuffle.map_or(hand % views, |word| shuffled(hand, word) * views / HANDS);
+            let Some(post) = posts[view].as_ref().filter(|_| view > 0) else { continue };
+            let Lambert { origin, ng, ns, k } = post.lambert;
+            self.origin[hand] = origin;
+            self.view[hand] = view as u8;
+            if !self.is_flat {
+                for (rows, v) in [(&mut self.ng, ng), (&mut self.ns, ns), (&mut self.k, k)] {
+                    rows.iter_mut().zip(v.to_array()).for_each(|(row, x)| row[hand] = x);
+                }
+            }
+            let times = (count - hand).div_ceil(HANDS) as f32;
+            sum.k += times * (k - first.k);
+            sum.beside += times * (own.expected - post.expected);
+        }
+        Hand { k: sum.k / count as f32, beside: sum.beside / count as f32 }
+    }
+}
+
+/// A place among the hands, another for each.
+fn shuffled(hand: usize, word: u32) -> usize {
+    ((word | 1).wrapping_mul(hand as u32).wrapping_add(word >> 8) % HANDS as u32) as usize
+}
+
+/// A sample whose rays were dealt out, shuffled.
+#[derive(Debug, Clone, Copy)]
+pub struct Deal {
+    /// The camera sample.
+    sample: u32,
+    /// Its camera rays.
+    views: u32,
+    /// Its first shadow ray.
+    first: u32,
+    /// How many these are.
+    count: u32,
+}
+
+impl Queue {
+    /// Notes a deal whose rays were queued from `first` on.
+    pub(super) fn note(&mut self, first: usize, draws: &Draws, own: &Post, posts: &[Option<Post>]) {
+        let count = draws.dir.len();
+        for i in (0..count).filter(|&i| draws.fate[i] == TRACED) {
+            let view = draws.dealt.view[i % HANDS];
+            let post = posts[usize::from(view)].as_ref().filter(|_| view > 0).unwrap_or(own);
+            let control = draws.control[i] / (draws.pdf[i] * count as f32);
+            self.residuals.push((Dome::weight((post.lambert.k * draws.radiance.get(i) * control).to_array()), view));
+        }
+        let (sample, views) = (self.sample, posts.len() as u32);
+        self.deals.push(Deal { sample, views, first: first as u32, count: (self.rays.len() - first) as u32 });
+    }
+
+    /// When only what arrives is left of the contributions: the part of each noted sample's variance, the luminance's, that
+    /// n camera rays divide by n, for the light differs from place to place. So much larger the products of its
+    /// rays' residuals (by how much more arrives than the control variate takes it for) are where two begin at the same place.
+    pub fn saved(&self) -> impl Iterator<Item = (u32, f32)> {
+        let mut residuals = self.residuals.iter();
+        self.deals.iter().filter_map(move |&Deal { sample, views, first, count }| {
+            let (mut of_view, mut rays_of_view, mut squares) = ([0.0f32; HANDS], [0.0f32; HANDS], 0.0);
+            for (ray, &(control, view)) in (first..first + count).zip(&mut residuals) {
+                let residual = Dome::weight(self.contributions.get(ray as usize).to_array()) - control;
+                of_view[usize::from(view)] += residual;
+                rays_of_view[usize::from(view)] += 1.0;
+                squares += residual * residual;
+            }
+            let sum: f32 = of_view.iter().sum();
+            let of_views: f32 = of_view.iter().map(|sum| sum * sum).sum();
+            // Ordered pairs of rays from the same place and from two, and the sums of their products.
+            let pairs: f32 = rays_of_view.iter().map(|rays| rays * (rays - 1.0)).sum();
+            let others = (count * count.saturating_sub(1)) as f32 - pairs;
+            let (same, different) = (of_views - squares, sum * sum - of_views);
+            let saved = (same * (others / pairs) - different) / (1.0 - 1.0 / views as f32);
+            (pairs > 0.0 && others > 0.0).then_some((sample, saved))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::accel::Ray;
+    use crate::random;
+
+    #[test]
+    fn shuffled_hands_are_all_different() {
+        for word in 0..1000 {
+            let mut places: Vec<_> = (0..HANDS).map(|hand| shuffled(hand, random::mix(word))).collect();
+            places.sort_unstable();
+            assert!(places.into_iter().eq(0..HANDS));
+        }
+    }
+
+    /// Sixteen rays from four places where light is seen by half of all places, ray by ray by chance or by all rays of a
+    /// place alike: dealing saves the latter alone, all of the variance between places.
+    #[test]
+    fn what_differs_between_places_is_saved() {
+        for (alike, expected) in [(true, 0.25), (false, 0.0)] {
+            let (mut sum, samples) = (0.0, 20_000);
+            for sample in 0..samples {
+                let mut queue = Queue::default();
+                for i in 0..16 {
+                    let view = shuffled(i, random::hash(&[sample])) * 4 / HANDS;
+                    let of = if alike { view } else { 100 + i };
+                    let arrives = random::hash(&[sample, of as u32, 7]) >> 31;
+                    queue.push(Ray::new(Vec3::ZERO, Vec3::X), Vec3::splat(arrives as f32 / 16.0));
+                    queue.residuals.push((0.5 / 16.0, view as u8));
+                }
+                queue.deals.push(Deal { sample, views: 4, first: 0, count: 16 });
+                sum += queue.saved().map(|(_, saved)| f64::from(saved)).sum::<f64>();
+            }
+            let saved = sum / f64::from(samples);
+            assert!((saved - expected).abs() < 0.01, "{saved}, not {expected}");
+        }
+    }
+}
