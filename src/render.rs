@@ -232,7 +232,9 @@ impl Render<'_> {
             if pass.ends_stage {
                 sampler.next_stage();
             }
-            state.views.settle();
+            if pass.looks.about {
+                state.views.settle();
+            }
             done += pass.work();
             state.passes += 1;
             state.picture.spp = state.picture.spp.max(pass.spp_after);

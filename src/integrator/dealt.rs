@@ -94,7 +94,7 @@ impl Queue {
     pub(super) fn note(&mut self, first: usize, draws: &Draws, own: &Post, posts: &[Option<Post>]) {
         let count = draws.dir.len();
         for i in (0..count).filter(|&i| draws.fate[i] == TRACED) {
-            let view = draws.dealt.view[i % HANDS];
+            let view = self.dealt.view[i % HANDS];
             let post = posts[usize::from(view)].as_ref().filter(|_| view > 0).unwrap_or(own);
             let control = draws.control[i] / (draws.pdf[i] * count as f32);
             self.residuals.push((Dome::weight((post.lambert.k * draws.radiance.get(i) * control).to_array()), view));

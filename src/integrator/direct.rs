@@ -208,16 +208,15 @@ impl Shade<'_> {
         }
         let lambert = Lambert { origin, ng, ns, k };
         let posts = self.point.posts;
-        if let [Some(first), _, ..] = posts
+        if let [Some(own), _, ..] = posts
             && draws.dir.len() > 1
         {
-            let own = Post { lambert, ..*first };
             let shuffle = queue.notes.then(|| self.point.numbers.word(0, 0xdea1));
-            let hand = draws.dealt.deal(&own, posts, draws.dir.len(), shuffle);
+            let hand = queue.dealt.deal(own, posts, draws.dir.len(), shuffle);
             let first = queue.rays.len();
             let control = lambert.queue(true, draws, queue);
             if queue.notes {
-                queue.note(first, draws, &own, posts);
+                queue.note(first, draws, own, posts);
             }
             return hand.k * draws.integral - control + hand.beside;
         }

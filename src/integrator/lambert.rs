@@ -35,16 +35,16 @@ impl Lambert {
         (self.ng, self.ns, self.k) == (other.ng, other.ns, other.k)
     }
 
-    /// Queues all directions drawn for the point, or where they are dealt out, for those that [`Draws::dealt`] says; returns
+    /// Queues all directions drawn for the point, or where they are dealt out, for those that [`Queue::dealt`] says; returns
     /// what is reflected of their control variate in the mean, W·m⁻²·sr⁻¹ a channel.
     #[inline]
     pub(super) fn queue(&self, is_dealt: bool, draws: &mut Draws, queue: &mut Queue) -> Vec3 {
         let (count, first) = (draws.dir.len(), queue.rays.len());
         draws.fate.clear();
-        let Draws { dir, radiance, pdf, control, fate, target, dealt, .. } = draws;
+        let Draws { dir, radiance, pdf, control, fate, target, .. } = draws;
         let weigh = Weigh {
             point: self,
-            dealt,
+            dealt: &queue.dealt,
             share: 1.0 / count as f32,
             dir: dir.rows(),
             radiance: radiance.rows(),
@@ -55,7 +55,8 @@ impl Lambert {
         };
         let (all_traced, control) =
             if is_dealt && !weigh.dealt.is_flat { dispatch(WeighDealt(weigh)) } else { dispatch(weigh) };
-        let origin = |i: usize| if is_dealt { dealt.origin[i % HANDS] } else { self.origin };
+        let origins = is_dealt.then_some(queue.dealt.origin);
+        let origin = |i: usize| origins.as_ref().map_or(self.origin, |origins| origins[i % HANDS]);
         if all_traced {
             queue.rays.extend(dir.iter().enumerate().map(|(i, dir)| Ray::new(origin(i), dir)));
             queue.targets.extend_from_slice(target);
@@ -233,8 +234,9 @@ mod tests {
             queue.push(Ray::new(Vec3::ZERO, Vec3::X), Vec3::ONE);
             queue.targets.push(9);
             let post = |lambert, expected| Post { alike: 1, lambert, expected };
-            let posts = [Some(post(point, Vec3::ONE)), None, deal.map(|deal| post(deal, Vec3::splat(0.25))), None];
-            let hand = draws.dealt.deal(&posts[0].unwrap(), &posts, count as usize, None);
+            let own = post(point, Vec3::ONE);
+            let posts = [Some(own), None, deal.map(|deal| post(deal, Vec3::splat(0.25))), None];
+            let hand = queue.dealt.deal(&own, &posts, count as usize, None);
             let whose = |i: u32| deal.filter(|_| i % 16 % 4 == 2).unwrap_or(point);
             let k = (0..count).map(|i| whose(i).k).sum::<Vec3>() / count as f32;
             let moved = (0..count).filter(|i| deal.is_some() && i % 16 % 4 == 2).count() as f32;

@@ -102,6 +102,8 @@ pub struct Queue {
     pub residuals: Vec<(f32, u8)>,
     /// Scratch: directions that a lobe might take.
     pub candidates: Candidates,
+    /// Scratch: who has which direction.
+    pub dealt: Dealt,
 }
 
 impl Queue {

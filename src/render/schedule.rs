@@ -2,7 +2,7 @@
 //!
 //! A pass takes some camera samples of some pixels. Without a learning sampler passes only cut the work up. With one,
 //! the first camera samples come in seven *stages*: every 64th pixel, then every time as many pixels as before, spread
-//! evenly among them; after each stage the sampler goes by what was seen so far. A pixel's own samples therefore never depend on
+//! evenly among them, in no square of 8 × 8 pixels quite as in the next; after each stage the sampler goes by what was seen so far. A pixel's own samples therefore never depend on
 //! what they saw themselves, all of them form one stratified set, and the image is unbiased in the strict sense. The first
 //! stage knows nothing: it has numbers of its own, its samples weigh little in the image, and its pixels have all their
 //! samples in the last stage. Later samples are one more stage with numbers of their own. Where variances are asked for,
@@ -49,6 +49,7 @@ const RANK: [[u8; SIDE as usize]; SIDE as usize] = {
 fn turned([x, y]: [u32; 2]) -> [u32; 2] {
     // Eight squares in a row take all turns, four of them both parities.
     let turn = |square: u32| square.reverse_bits() >> 29 ^ square & 1;
+    // The image's first pixel to be taken is not at its edge, where there are fewer around it.
     [turn(y / SIDE) ^ 3, turn(x / SIDE) ^ 3]
 }
 
@@ -160,6 +161,7 @@ pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
             before: 0,
             // The first stage knows nothing yet to go by; where most pixels are still to come it pays to look about.
             looks: match lattice.to {
+                _ if settings.camera_rays.is_some() => Looks::BY_WHAT_WAS_SEEN,
                 2..=4 => Looks { least: 4, about: true },
                 8..=16 => Looks { least: 2, about: true },
                 _ => Looks::BY_WHAT_WAS_SEEN,

@@ -146,10 +146,13 @@ impl Render<'_> {
                 if !shaded {
                     let of = s.posts[first];
                     post = post.filter(|post| camera.view < rays && of.is_some_and(|of| of.alike == post.alike));
-                    if let Some(Post { lambert: Lambert { origin, ng, .. }, .. }) = &mut post {
-                        let (position, error) = self.scene.place(&refined());
-                        *origin = offset_origin(position, error, *ng, *ng);
-                    }
+                }
+                if let Some(Post { lambert: Lambert { origin, ng, .. }, .. }) = &mut post {
+                    let (position, error) = match shaded {
+                        true => (surface.position, surface.error),
+                        false => self.scene.place(&refined()),
+                    };
+                    *origin = offset_origin(position, error, *ng, *ng);
                 }
                 s.posts.push(post);
             }

@@ -21,7 +21,6 @@ pub mod uniform;
 use crate::bsdf::Bsdf;
 use crate::dome::Dome;
 use crate::error::Result;
-use crate::integrator::Dealt;
 use crate::random;
 use crate::registry::{Params, Plugin};
 use crate::vectors::Vectors;
@@ -99,8 +98,6 @@ pub struct Draws {
     pub target: Vec<u32>,
     /// Scratch of the integrator's: what becomes of each direction.
     pub fate: Vec<u32>,
-    /// Scratch of the integrator's: who has which.
-    pub dealt: Dealt,
     /// Scratch of the sampler's own: what it prepared for this point.
     pub prepared: Prepared,
     /// Look-ups in the shadow cache since the last [`DomeSampler::tally`].

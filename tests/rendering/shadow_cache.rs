@@ -212,15 +212,34 @@ fn mirrors_by_all_camera_rays() {
     }
 }
 
+fn ball() -> Mesh {
+    sheet(64, 32, |u, v| {
+        let ((sin, cos), (ring, up)) = ((TAU * u).sin_cos(), (PI * v).sin_cos());
+        Vec3::new(0.2, 0.3, 0.0) + 0.8 * DVec3::new(ring * cos, up, ring * sin).as_vec3()
+    })
+}
+
+/// A pixel's camera rays look at many a normal and at many a light's edge: rays drawn for one begin at others, though not
+/// where another density holds.
+#[test]
+fn curved_things_by_all_camera_rays() {
+    let dome = sun();
+    let mut parts = occluders();
+    parts.push((ball(), white()));
+    let stage = Stage::new(parts);
+    let reference = take(&stage.shot(&dome, 16, 32), 1000, || sampler("latlong", &dome, 32), |_, _| ());
+    for camera_rays in [Some(4), None] {
+        let shot = Shot { camera_rays, ..stage.shot(&dome, 20, 8) };
+        let pictures = take(&shot, 0, || sampler(CACHE, &dome, 8), |_, _| ());
+        assert_same(&format!("{camera_rays:?} camera rays"), &pictures, &reference);
+    }
+}
+
 /// Where in the pixel it looks is all that a camera ray to a curved mirror errs by.
 #[test]
 fn a_curved_mirror_is_seen_by_all_camera_rays() {
-    let ball = sheet(64, 32, |u, v| {
-        let ((sin, cos), (ring, up)) = ((TAU * u).sin_cos(), (PI * v).sin_cos());
-        Vec3::new(0.2, 0.3, 0.0) + 0.8 * DVec3::new(ring * cos, up, ring * sin).as_vec3()
-    });
     let mirror = Material { metallic: 1.0, roughness: 0.0, ..Material::default() };
-    let (stage, dome) = (Stage::new(vec![(ball, mirror)]), sun());
+    let (stage, dome) = (Stage::new(vec![(ball(), mirror)]), sun());
     let [one, eight] = [1, 8].map(|views| {
         let shot = Shot { camera_rays: Some(views), ..stage.shot(&dome, 4, 8) };
         let pictures = take(&shot, 0, || sampler(CACHE, &dome, 8), |_, _| ());
