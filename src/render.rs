@@ -179,7 +179,12 @@ impl Render<'_> {
             film.replicates = Replicates::new(film.pixels.len());
         }
         let picture = Picture { film, spp: 0, stopped: false, counts: Counts::default() };
-        State { picture, passes: 0, seconds: 0.0, views: Views::new(self.settings.size, self.settings.rays) }
+        State {
+            picture,
+            passes: 0,
+            seconds: 0.0,
+            views: Views::new(self.settings.size, schedule::together(&self.settings), self.settings.rays),
+        }
     }
 
     /// Renders on from `state`, which `sampler` belongs to. `keep` is shown the state before every pass, and when no

@@ -52,22 +52,35 @@ impl Dealt {
             (self.ng, self.ns, self.k) = (splat(first.ng), splat(first.ns), splat(first.k));
         }
         let mut sum = Hand { k: first.k * count as f32, beside: Vec3::ZERO };
-        for hand in 0..count.min(HANDS) {
-            let view = shuffle.map_or(hand % views, |word| shuffled(hand, word) * views / HANDS);
-            let Some(post) = posts[view].as_ref().filter(|_| view > 0) else { continue };
-            let Lambert { origin, ng, ns, k } = post.lambert;
-            self.origin[hand] = origin;
-            self.view[hand] = view as u8;
-            if !self.is_flat {
-                for (rows, v) in [(&mut self.ng, ng), (&mut self.ns, ns), (&mut self.k, k)] {
-                    rows.iter_mut().zip(v.to_array()).for_each(|(row, x)| row[hand] = x);
+        let hands = count.min(HANDS);
+        for (view, post) in posts[..views].iter().enumerate().skip(1) {
+            let Some(post) = post else { continue };
+            let mut directions = 0;
+            let mut take = |hand: usize| {
+                self.give(hand, view, &post.lambert);
+                directions += (count - hand).div_ceil(HANDS);
+            };
+            match shuffle {
+                Some(word) => {
+                    (0..hands).filter(|&hand| shuffled(hand, word) * views / HANDS == view).for_each(&mut take)
                 }
+                None => (view..hands).step_by(views).for_each(&mut take),
             }
-            let times = (count - hand).div_ceil(HANDS) as f32;
-            sum.k += times * (k - first.k);
-            sum.beside += times * (own.expected - post.expected);
+            sum.k += directions as f32 * (post.lambert.k - first.k);
+            sum.beside += directions as f32 * (own.expected - post.expected);
         }
         Hand { k: sum.k / count as f32, beside: sum.beside / count as f32 }
+    }
+
+    #[inline]
+    fn give(&mut self, hand: usize, view: usize, &Lambert { origin, ng, ns, k }: &Lambert) {
+        self.origin[hand] = origin;
+        self.view[hand] = view as u8;
+        if !self.is_flat {
+            for (rows, v) in [(&mut self.ng, ng), (&mut self.ns, ns), (&mut self.k, k)] {
+                rows.iter_mut().zip(v.to_array()).for_each(|(row, x)| row[hand] = x);
+            }
+        }
     }
 }
 

@@ -55,17 +55,17 @@ impl Lambert {
         };
         let (all_traced, control) =
             if is_dealt && !weigh.dealt.is_flat { dispatch(WeighDealt(weigh)) } else { dispatch(weigh) };
-        let origins = is_dealt.then_some(queue.dealt.origin);
-        let origin = |i: usize| origins.as_ref().map_or(self.origin, |origins| origins[i % HANDS]);
+        let origin = |dealt: &Dealt, i: usize| if is_dealt { dealt.origin[i % HANDS] } else { self.origin };
         if all_traced {
-            queue.rays.extend(dir.iter().enumerate().map(|(i, dir)| Ray::new(origin(i), dir)));
+            let dealt = &queue.dealt;
+            queue.rays.extend(dir.iter().enumerate().map(|(i, dir)| Ray::new(origin(dealt, i), dir)));
             queue.targets.extend_from_slice(target);
         } else {
             for (i, &fate) in fate.iter().enumerate() {
                 let target = target.get(i);
                 if fate == TRACED {
                     queue.contributions.copy(first + i, queue.rays.len());
-                    queue.rays.push(Ray::new(origin(i), dir.get(i)));
+                    queue.rays.push(Ray::new(origin(&queue.dealt, i), dir.get(i)));
                     queue.targets.extend(target);
                 } else if fate == HIDDEN
                     && let Some(&target) = target
@@ -136,12 +136,13 @@ impl Weigh<'_> {
         for at in quarters..count {
             self.some::<1, DEALT>(at, &mut totals);
         }
-        let mut control = [0.0; 3];
-        for (c, (sum, of_lanes)) in control.iter_mut().zip(&totals.control).enumerate() {
-            let k = if DEALT { self.dealt.k[c] } else { [self.point.k[c]; LANES] };
-            *sum = of_lanes.iter().zip(k).map(|(control, k)| control * k).sum();
+        if DEALT {
+            for (control, k) in totals.control.as_flattened_mut().iter_mut().zip(self.dealt.k.as_flattened()) {
+                *control *= k;
+            }
         }
-        let control = Vec3::from(control);
+        let control = Vec3::from(totals.control.map(|of_lanes| of_lanes.iter().sum()));
+        let control = if DEALT { control } else { control * self.point.k };
         (totals.any.into_iter().fold(TRACED, |all, fate| all | fate) == TRACED, control)
     }
 }
@@ -160,29 +161,28 @@ impl Weigh<'_> {
     fn some<const N: usize, const DEALT: bool>(&mut self, at: usize, totals: &mut Totals) {
         let Self { point, dealt, share, dir, radiance, pdf, control, fate, contributions } = self;
         let lane = at % LANES;
-        let of = |rows: &[[f32; HANDS]; 3], own: Vec3, c: usize| {
-            if DEALT { chunk::<N>(&rows[c], lane) } else { [own[c]; N] }
-        };
-        let ns = [0, 1, 2].map(|c| of(&dealt.ns, point.ns, c));
-        let ng = [0, 1, 2].map(|c| of(&dealt.ng, point.ng, c));
+        let (ns, ng) = (rows::<N>(&dealt.ns, lane), rows::<N>(&dealt.ng, lane));
         // In arrays of its own the compiler sees that nothing it writes is what it reads.
         let (x, y, z) = (chunk::<N>(dir[0], at), chunk::<N>(dir[1], at), chunk::<N>(dir[2], at));
         let (r, g, b) = (chunk::<N>(radiance[0], at), chunk::<N>(radiance[1], at), chunk::<N>(radiance[2], at));
         let pdf = chunk::<N>(pdf, at);
         let (mut weight, mut fates) = ([0.0; N], [TRACED; N]);
         for i in 0..N {
-            let cosine = x[i] * ns[0][i] + y[i] * ns[1][i] + z[i] * ns[2][i];
-            let above = x[i] * ng[0][i] + y[i] * ng[1][i] + z[i] * ng[2][i];
+            let towards = |of_lanes: &[[f32; N]; 3], own: Vec3| match DEALT {
+                true => x[i] * of_lanes[0][i] + y[i] * of_lanes[1][i] + z[i] * of_lanes[2][i],
+                false => x[i] * own.x + y[i] * own.y + z[i] * own.z,
+            };
+            let (cosine, above) = (towards(&ns, point.ns), towards(&ng, point.ng));
             // What is no number is not hidden: it is traced, found out and counted.
             let hidden = if (cosine <= 0.0) | (above <= 0.0) { HIDDEN } else { TRACED };
             fates[i] = if (r[i] == 0.0) & (g[i] == 0.0) & (b[i] == 0.0) { BLACK } else { hidden };
             weight[i] = cosine / pdf[i];
         }
         let mut adds = [[0.0; N]; 3];
-        for (c, (adds, light)) in adds.iter_mut().zip([&r, &g, &b]).enumerate() {
-            let k = of(&dealt.k, point.k, c);
+        let k = rows::<N>(&dealt.k, lane);
+        for (((adds, light), k), own) in adds.iter_mut().zip([&r, &g, &b]).zip(&k).zip((point.k * *share).to_array()) {
             for i in 0..N {
-                adds[i] = light[i] * (*share * k[i] * weight[i]);
+                adds[i] = light[i] * (if DEALT { k[i] * *share } else { own } * weight[i]);
             }
         }
         contributions.extend(&adds);
@@ -199,6 +199,12 @@ impl Weigh<'_> {
             }
         }
     }
+}
+
+/// The numbers from `at` on of all rows.
+#[inline(always)]
+fn rows<const N: usize>(rows: &[[f32; HANDS]; 3], at: usize) -> [[f32; N]; 3] {
+    [chunk(&rows[0], at), chunk(&rows[1], at), chunk(&rows[2], at)]
 }
 
 /// The numbers from `at` on.

@@ -144,6 +144,11 @@ pub(super) fn replicate(settings: &Settings) -> u32 {
     if variance { (1..=most).rev().find(|n| spp.is_multiple_of(*n)).unwrap_or(1) } else { spp }
 }
 
+/// Camera samples of a pixel whose places are stratified together, as far as is known.
+pub(super) fn together(settings: &Settings) -> u32 {
+    if settings.time.is_some() { LEARNING } else { replicate(settings) }
+}
+
 /// All passes of a render, for a sampler that `learns` or not.
 pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
     let (spp, each) = (settings.spp, replicate(settings));

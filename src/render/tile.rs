@@ -8,7 +8,7 @@
 
 use super::flush::flush;
 use super::schedule::{self, Looks, Pass};
-use super::views::Views;
+use super::views::{Choice, Seen, Views};
 use super::{Background, Counts, Render};
 use crate::accel::{Hit, Ray};
 use crate::dome::Dome;
@@ -29,12 +29,15 @@ const CHUNK: usize = 1024;
 const BATCH: usize = 1024;
 
 impl Render<'_> {
-    /// Camera rays for each camera sample of a pixel.
-    fn views(&self, sampler: &dyn DomeSampler, (pass, views): (&Pass, &Views), pixel: [u32; 2]) -> u32 {
+    /// What each camera sample of a pixel has.
+    fn choice(&self, sampler: &dyn DomeSampler, (pass, views): (&Pass, &Views), pixel: [u32; 2]) -> Choice {
         match (self.settings.camera_rays, pass.looks) {
-            _ if !self.integrator.expects(sampler) => 1,
-            (Some(views), _) => views,
-            (None, Looks { least, .. }) => views.of(pixel).max(least),
+            _ if !self.integrator.expects(sampler) => Choice::ONE,
+            (Some(views), _) => Choice { views, deals: true },
+            (None, Looks { least, .. }) => {
+                let Choice { views, deals } = views.of(pixel);
+                Choice { views: views.max(least), deals }
+            }
         }
     }
 
@@ -65,15 +68,18 @@ impl Render<'_> {
         for i in 0..s.pixels.len() {
             let (_, pixel, of_pixel) = s.pixels[i];
             let (numbers, places) = (seed(of_pixel, pass.sequence, 1), seed(of_pixel, pass.replicate, 0));
-            let views = self.views(world.sampler, (pass, seen), pixel);
+            let Choice { views, deals } = self.choice(world.sampler, (pass, seen), pixel);
             for sample in pass.first..pass.first + pass.count {
                 let numbers = Numbers { seed: numbers, sample };
                 // All samples' first camera rays have the beginning of the sequence, their second ones what follows: each
                 // are a stratified set.
                 let at = pass.before + sample;
+                // What one of a pixel's samples tells of dealing its rays out, they all would tell.
+                let noted = views > 1 && pass.looks.about && sample == pass.first;
+                let deals = views > 1 && deals || noted;
                 for view in 0..views {
                     let place = each * view + at;
-                    s.cameras.push(CameraSample { pixel, place, places, numbers, view, views });
+                    s.cameras.push(CameraSample { pixel, place, places, numbers, view, views, deals, noted });
                 }
                 if s.cameras.len() >= CHUNK {
                     self.chunk(world, (pass, seen), s, film, &mut counts);
@@ -99,7 +105,6 @@ impl Render<'_> {
         s.mirrored.clear();
         s.posts.clear();
         s.saved.clear();
-        s.queue.notes = pass.looks.about;
         let gloss = self.scene.needs.gloss;
         dispatch(Places { cameras: &s.cameras, places: &mut s.places });
         for (&CameraSample { pixel: [x, y], .. }, &[u, v]) in s.cameras.iter().zip(&s.places) {
@@ -113,7 +118,7 @@ impl Render<'_> {
         let mut waiting = None;
         for i in 0..s.rays.len() {
             let camera = s.cameras[i];
-            let CameraSample { pixel, numbers, views, .. } = camera;
+            let CameraSample { pixel, numbers, views, deals, .. } = camera;
             let shaded = camera.is_shaded();
             let (ray, hit) = (&s.rays[i], &s.hits[i]);
             if !hit.is_hit() {
@@ -123,7 +128,7 @@ impl Render<'_> {
                     s.expected.push(sample.radiance);
                 }
                 s.samples.push(sample);
-                if views > 1 {
+                if deals {
                     s.posts.push(None);
                 }
                 continue;
@@ -139,10 +144,12 @@ impl Render<'_> {
             let rays = self.settings.rays;
             let point = Shading { pixel, distance: hit.t, wo: -ray.dir, surface: &surface, numbers, rays, posts: &[] };
             let mut radiance = Vec3::ZERO;
-            let first = s.posts.len() - if views > 1 { camera.view as usize } else { 0 };
+            let first = s.posts.len() - if deals { camera.view as usize } else { 0 };
+            let mut post = None;
             if views > 1 {
-                let mut post;
                 (radiance, post) = self.integrator.expected(world, &point, &mut s.draws);
+            }
+            if deals {
                 if !shaded {
                     let of = s.posts[first];
                     post = post.filter(|post| camera.view < rays && of.is_some_and(|of| of.alike == post.alike));
@@ -204,7 +211,7 @@ impl Render<'_> {
         let mut mirrors = s.mirrored.iter().peekable();
         let mut saved = s.saved.iter().peekable();
         for &expected in &s.expected {
-            let CameraSample { pixel, views, .. } = s.cameras[first];
+            let CameraSample { pixel, views, deals: dealt, noted, .. } = s.cameras[first];
             let of_sample = &s.samples[first..first + views as usize];
             s.lights.clear();
             s.lights.extend(of_sample.iter().map(|sample| light(sample.radiance)));
@@ -213,7 +220,8 @@ impl Render<'_> {
             let known = light(shown) + (s.lights[0] - light(expected)) / views as f32;
             s.lights[0] = light(shown);
             let saved = saved.next_if(|saved| saved.0 as usize == first).map_or(0.0, |saved| saved.1);
-            seen.notice(pixel, &s.lights, (known, s.hits[first].is_hit()), saved);
+            let (traced, saved) = (s.hits[first].is_hit(), noted.then_some(saved));
+            seen.notice(pixel, Seen { expected: &s.lights, known, traced, dealt, saved });
             first += views as usize;
         }
     }
@@ -222,12 +230,13 @@ impl Render<'_> {
     fn shade(&self, world: &World<'_>, pass: &Pass, waiting: &Waiting, s: &mut Scratch, counts: &mut Counts) {
         let &Waiting { sample, posts, distance, ref surface, mirrors } = waiting;
         let camera = s.cameras[sample];
-        let CameraSample { pixel, numbers, views, .. } = camera;
+        let CameraSample { pixel, numbers, views, deals, noted, .. } = camera;
+        let posts = &s.posts[posts..][..if deals { views as usize } else { 0 }];
         let views = views as f32;
         let rays = self.settings.rays;
-        let posts = &s.posts[posts..][..if camera.views > 1 { camera.views as usize } else { 0 }];
         let point = Shading { pixel, distance, wo: -s.rays[sample].dir, surface, numbers, rays, posts };
         s.queue.sample = sample as u32;
+        s.queue.notes = noted;
         let known = self.integrator.shade(world, &point, &mut s.draws, &mut s.queue);
         let radiance = &mut s.samples[sample].radiance;
         *radiance = views * known - (views - 1.0) * *radiance;
@@ -277,6 +286,9 @@ pub(super) struct CameraSample {
     view: u32,
     /// How many there are of its sample.
     pub(super) views: u32,
+    /// Whether shadow rays are dealt out to them, and whether what that saves is noted.
+    deals: bool,
+    noted: bool,
 }
 
 impl CameraSample {
@@ -342,7 +354,7 @@ impl Kernel for Texels<'_> {
 /// A sample to be shaded when the next one has begun.
 struct Waiting {
     sample: usize,
-    /// Where in the list its sample's posts begin, if it is not alone.
+    /// Where in the list its sample's posts begin, if it deals.
     posts: usize,
     /// From the camera, metres.
     distance: f32,
@@ -359,7 +371,7 @@ pub(super) struct Scratch {
     places: Vec<[f32; 2]>,
     rays: Vec<Ray>,
     hits: Vec<Hit>,
-    /// What those of samples that have several met, as far as shadow rays may begin there.
+    /// What those of samples that deal met, as far as shadow rays may begin there.
     posts: Vec<Option<Post>>,
     /// Directions of the rays that hit nothing, and the dome's texels there.
     missed: Vec<Vec3>,

@@ -1,14 +1,18 @@
-//! How many camera rays a camera sample is worth: what each region of the image asks for.
+//! How many camera rays a camera sample is worth, and whether its shadow rays are dealt out to them: what each region of the
+//! image asks for.
 //!
 //! A sample errs by where in the pixel it looks (what is expected, C, differs from place to place, so does what a mirror
-//! shows, which counts towards C, and so does what its shadow rays bring beside that, D = I − C, as far as they can be dealt
-//! out) and by its shadow rays' own noise. Further camera rays cost little and take the place out of it. Let W be the
-//! variance of C between the camera rays of a pixel, plus twice the covariance of D with it, which is negative where the light
-//! does not go with what is expected (a sun in stripes finer than what is learned), plus what dealing out saves; and R the mean
-//! of D² less that. With a sample's shadow rays at the price of a camera rays, n of these leave an error of R + W/n for a
-//! price of a + n. What counts is the whole image's error times its whole price: least where a further camera ray takes
-//! the same share off the error everywhere that it adds to the price, n² = W ΣPrice/ΣError. A region all of whose samples are
-//! nearly exact asks for none.
+//! shows, which counts towards C, and so does what its shadow rays bring beside that, D = I − C) and by its shadow rays' own
+//! noise. Further camera rays cost little and take the place out of it. Let W be the variance of C between the camera rays of
+//! a pixel, plus twice the covariance of D with it, which is negative where the light does not go with what is expected (a sun
+//! in stripes finer than what is learned); V the part of D's variance that n camera rays divide by n if shadow rays are dealt
+//! out to them; and R what else is left of D². n camera rays leave an error of R + V + W/n, or with dealing R + (V + W)/n. In
+//! the mean over a pixel's N samples, whose places are stratified together, V and W fall as N^-3/2, as where an edge goes
+//! through the pixel, R as N^-5/4, as was measured. With a sample's shadow rays at the price of a camera rays, n of these cost
+//! a + n. What counts is the whole image's error times its whole price: least where a further camera ray takes the same share
+//! off the error everywhere that it adds to the price. But an error is seen where it is, a horizon in one row of a region that
+//! is exact elsewhere: a region with less noise than the image has as many as its own error times its own price ask for, up to
+//! four times as many as pay for the image.
 //!
 //! Samples that miss everything trace no shadow rays: where all do, further camera rays would cost as much as they bring. All
 //! is measured by the learning stages in between (`schedule`), before the samples that go by it are taken: how many
@@ -18,6 +22,7 @@
 //! Sums are integers, so that they are the same in whatever order tiles and threads add to them.
 
 use std::io::{self, Read, Write};
+use std::iter;
 use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
 
 /// Side of a region, pixels.
@@ -26,10 +31,16 @@ const REGION: u32 = 32;
 /// Camera rays for each camera sample, at most.
 const MOST: u32 = 16;
 
-/// The price of a shadow ray, and of what else a shaded sample costs, in camera rays. (By the clock it is 1.3 and 3. Somewhat
+/// The price of a shadow ray, and of what else a shaded sample costs, in camera rays. (By the clock it is .7 to 2 and 3. Somewhat
 /// more paid better where it was measured: R is seen while the cache knows less than it will.)
 const RAY: f64 = 2.0;
 const POINT: f64 = 4.0;
+
+/// The price of a camera ray that shadow rays are dealt out to, in others.
+const DEALT: f64 = 2.0;
+
+/// How many times as many as pay for the whole image a region may have.
+const OWN: f64 = 4.0;
 
 /// Rounds in which the image's error and the regions' choices settle.
 const ROUNDS: u32 = 16;
@@ -37,34 +48,76 @@ const ROUNDS: u32 = 16;
 /// What a term counts that is as large as the light itself.
 const ONE: f32 = 65536.0;
 
+/// What a camera sample has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Choice {
+    /// Camera rays.
+    pub(super) views: u32,
+    /// Whether its shadow rays are dealt out to them.
+    pub(super) deals: bool,
+}
+
+impl Choice {
+    pub(super) const ONE: Self = Self { views: 1, deals: false };
+
+    /// All that a region may choose: powers of two, so that they share out the pixel evenly.
+    fn all() -> impl Iterator<Item = Self> {
+        let several = (1..=MOST.ilog2()).flat_map(|n| [false, true].map(|deals| Self { views: 1 << n, deals }));
+        iter::once(Self::ONE).chain(several)
+    }
+}
+
+/// A sample that was looked at.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Seen<'a> {
+    /// What its camera rays expect, luminances.
+    pub(super) expected: &'a [f32],
+    /// What the first of them turned out to be.
+    pub(super) known: f32,
+    /// Whether that one traced shadow rays.
+    pub(super) traced: bool,
+    /// Whether these were dealt out.
+    pub(super) dealt: bool,
+    /// If that was noted: what it takes off the variance, were there any number of camera rays.
+    pub(super) saved: Option<f32>,
+}
+
 /// What was seen of the image's regions.
 #[derive(Debug)]
 pub(super) struct Views {
     columns: u32,
     /// Shadow rays of a sample.
     rays: u32,
-    /// By region: Σ W (of either sign) and Σ R, relative to the light, sample by sample; samples, and those that traced
-    /// shadow rays.
-    sums: Vec<[AtomicI64; 4]>,
-    /// Camera rays, by what was seen when the last pass ended.
-    chosen: Vec<u32>,
+    /// What is left of V and W, measured by what is left of R, in the mean over a pixel's samples.
+    left: f64,
+    /// By region.
+    sums: Vec<[AtomicI64; 7]>,
+    /// By what was seen when the last pass ended.
+    chosen: Vec<Choice>,
 }
 
 impl Views {
-    /// For an image of `size` pixels, of which nothing is known, and so many shadow rays a camera sample.
-    pub(super) fn new([width, height]: [u32; 2], rays: u32) -> Self {
+    /// For an image of `size` pixels, of which nothing is known, with so many camera samples whose places are stratified
+    /// together, and so many shadow rays each.
+    pub(super) fn new([width, height]: [u32; 2], samples: u32, rays: u32) -> Self {
         let [columns, rows] = [width, height].map(|side| side.div_ceil(REGION).max(1));
         let count = columns as usize * rows as usize;
-        Self { columns, rays, sums: (0..count).map(|_| Default::default()).collect(), chosen: vec![1; count] }
+        Self {
+            columns,
+            rays,
+            left: f64::from(samples).powf(-0.25),
+            sums: (0..count).map(|_| Default::default()).collect(),
+            chosen: vec![Choice::ONE; count],
+        }
     }
 
     fn region(&self, [x, y]: [u32; 2]) -> usize {
         (y / REGION) as usize * self.columns as usize + (x / REGION) as usize
     }
 
-    /// Takes in a sample: what its camera rays expect, and what the first of them turned out to be, luminances; whether
-    /// that one traced shadow rays; and what dealing them out saves, a variance.
-    pub(super) fn notice(&self, pixel: [u32; 2], expected: &[f32], (known, traced): (f32, bool), saved: f32) {
+    /// Takes in a sample of a pixel.
+    pub(super) fn notice(&self, pixel: [u32; 2], sample: Seen<'_>) {
+        let Seen { expected, known, traced, dealt, saved } = sample;
         let count = expected.len() as f32;
         let mean = expected.iter().sum::<f32>() / count;
         let light = expected.iter().map(|c| c * c).sum::<f32>() / count + known * known;
@@ -76,9 +129,11 @@ impl Views {
         // The first is any of them: the mean of its product with how far it stands out is that of the covariance.
         let between = (differs + 2.0 * count * beside * (expected[0] - mean)) / (count - 1.0);
         // Without light there is no number, which counts nothing; the sample has its price.
-        let [between, beside] = [between + saved, beside * beside - saved / count];
-        let [between, beside] = [between, beside].map(|square| (square / light * ONE) as i64);
-        for (sum, more) in self.sums[self.region(pixel)].iter().zip([between, beside, 1, i64::from(traced)]) {
+        let [between, square, of_places] =
+            [between, beside * beside, saved.unwrap_or(0.0)].map(|square| (square / light * ONE) as i64);
+        let places_in_square = ((if dealt { 1.0 / count } else { 1.0 }) * ONE) as i64;
+        let more = [between, square, of_places, places_in_square, 1, i64::from(saved.is_some()), i64::from(traced)];
+        for (sum, more) in self.sums[self.region(pixel)].iter().zip(more) {
             sum.fetch_add(more, Relaxed);
         }
     }
@@ -86,27 +141,34 @@ impl Views {
     /// Goes by all that was taken in from now on; between passes.
     pub(super) fn settle(&mut self) {
         let price = POINT + RAY * f64::from(self.rays);
-        let of_region = |sums: &mut [AtomicI64; 4]| {
-            let [between, beside, samples, traced] = sums.each_mut().map(|sum| *sum.get_mut() as f64);
-            Region { between: between.max(0.0), beside: beside.max(0.0), samples, shadow_rays: price * traced }
+        let of_region = |sums: &mut [AtomicI64; 7]| {
+            let [between, square, of_places, places_in_square, samples, noted, traced] =
+                sums.each_mut().map(|sum| *sum.get_mut() as f64);
+            let of_places = of_places.max(0.0) / noted.max(1.0);
+            Region {
+                between: between.max(0.0) * self.left,
+                places: of_places * samples * self.left,
+                rays: (square - of_places * places_in_square / f64::from(ONE)).max(0.0),
+                samples,
+                shadow_rays: price * traced,
+            }
         };
         let regions: Vec<Region> = self.sums.iter_mut().map(of_region).collect();
         // Not from the last choice on: a render that is gone on with must choose the same.
-        self.chosen.fill(1);
+        self.chosen.fill(Choice::ONE);
         for _ in 0..ROUNDS {
-            let (mut error, mut cost) = (0.0, 0.0);
-            for (region, &views) in regions.iter().zip(&self.chosen) {
-                error += region.beside + region.between / f64::from(views);
-                cost += region.shadow_rays + region.samples * f64::from(views);
-            }
-            for (region, views) in regions.iter().zip(&mut self.chosen) {
-                *views = region.views(error / cost);
+            let of_all =
+                |of: fn(&Region, Choice) -> f64| regions.iter().zip(&self.chosen).map(|(r, &c)| of(r, c)).sum::<f64>();
+            let worth = of_all(Region::error) / of_all(Region::price);
+            for (region, choice) in regions.iter().zip(&mut self.chosen) {
+                let own = region.rays / region.shadow_rays;
+                *choice = region.choice(own.min(worth).max(worth / (OWN * OWN)));
             }
         }
     }
 
-    /// Camera rays for each camera sample of a pixel: a power of two, so that they share out the pixel evenly.
-    pub(super) fn of(&self, pixel: [u32; 2]) -> u32 {
+    /// What each camera sample of a pixel has.
+    pub(super) fn of(&self, pixel: [u32; 2]) -> Choice {
         self.chosen[self.region(pixel)]
     }
 
@@ -127,24 +189,32 @@ impl Views {
 
 /// All samples of a region.
 struct Region {
-    /// W, R.
+    /// W, V, R.
     between: f64,
-    beside: f64,
+    places: f64,
+    rays: f64,
     samples: f64,
     /// Their price.
     shadow_rays: f64,
 }
 
 impl Region {
-    /// Camera rays for each sample where a price of one is worth so much error.
-    fn views(&self, worth: f64) -> u32 {
-        let mut views = 1;
-        // Twice as many are nearer to the best number from half a step on.
-        let pays = |views: u32| self.between > 2.0 * worth * self.samples * f64::from(views * views);
-        while self.shadow_rays > 0.0 && views < MOST && pays(views) {
-            views *= 2;
+    fn error(&self, Choice { views, deals }: Choice) -> f64 {
+        let views = f64::from(views);
+        self.rays + self.between / views + self.places / if deals { views } else { 1.0 }
+    }
+
+    fn price(&self, Choice { views, deals }: Choice) -> f64 {
+        self.shadow_rays + self.samples * f64::from(views) * if deals { DEALT } else { 1.0 }
+    }
+
+    /// What each sample has where a price of one is worth so much error.
+    fn choice(&self, worth: f64) -> Choice {
+        if self.shadow_rays == 0.0 {
+            return Choice::ONE;
         }
-        views
+        let counts = |choice| self.error(choice) + worth * self.price(choice);
+        Choice::all().min_by(|&a, &b| counts(a).total_cmp(&counts(b))).unwrap_or(Choice::ONE)
     }
 }
 
@@ -152,27 +222,43 @@ impl Region {
 mod tests {
     use super::*;
 
+    fn take_in(views: &Views, pixel: [u32; 2], expected: &[f32], known: f32) {
+        views.notice(pixel, Seen { expected, known, traced: true, dealt: false, saved: None });
+    }
+
     /// Takes in a hundred samples of a region: what they expect is 1 ± `between`, turns out `beside` more; one in `traced` has
-    /// shadow rays, dealing these out saves so much.
-    fn take_in(views: &Views, x: u32, [between, beside, saved]: [f32; 3], traced: u32) {
+    /// shadow rays, dealing these out would save so much.
+    fn take_in_many(views: &Views, x: u32, [between, beside, saves]: [f32; 3], traced: u32) {
         for i in 0..100 {
             let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
             let known = 1.0 + between + sign * beside;
-            views.notice([x + i % REGION, 0], &[1.0 + between, 1.0 - between], (known, i % traced == 0), saved);
+            let traced = i % traced == 0;
+            // Of two that are alike one is noted.
+            let (dealt, saved) = (saves > 0.0, (saves > 0.0 && i % 4 < 2).then_some(saves));
+            let expected = &[1.0 + between, 1.0 - between];
+            views.notice([x + i % REGION, 0], Seen { expected, known, traced, dealt, saved });
         }
     }
 
-    /// Views of two regions with 16 shadow rays a sample.
-    fn seen(left: [f32; 3], right: [f32; 3], traced: u32) -> Views {
-        let mut views = Views::new([2 * REGION, REGION], 16);
-        take_in(&views, 0, left, traced);
-        take_in(&views, REGION, right, traced);
+    /// Views of two regions with 16 shadow rays a sample, of which `samples` a pixel.
+    fn seen_by(samples: u32, left: [f32; 3], right: [f32; 3], traced: u32) -> Views {
+        let mut views = Views::new([2 * REGION, REGION], samples, 16);
+        take_in_many(&views, 0, left, traced);
+        take_in_many(&views, REGION, right, traced);
         views.settle();
         views
     }
 
-    fn of(views: &Views) -> [u32; 2] {
+    fn seen(left: [f32; 3], right: [f32; 3], traced: u32) -> Views {
+        seen_by(1, left, right, traced)
+    }
+
+    fn choices(views: &Views) -> [Choice; 2] {
         [views.of([REGION - 1, 3]), views.of([REGION, 3])]
+    }
+
+    fn of(views: &Views) -> [u32; 2] {
+        choices(views).map(|choice| choice.views)
     }
 
     #[test]
@@ -186,14 +272,35 @@ mod tests {
         assert_eq!(chosen([0.1, 0.1, 0.0], [0.1, 0.1, 0.0], 4), [4, 4]);
         // n² = 2 (4 + 2·16)/100 < 2.
         assert_eq!(chosen([0.01, 0.1, 0.0], [0.01, 0.1, 0.0], 1), [1, 1]);
-        // What dealing out saves is as good: W = 0.01, R = 0.01 − 0.01/2, n² = 72 again.
-        assert_eq!(chosen([0.0, 0.1, 0.01], [0.0, 0.1, 0.01], 1), [8, 8]);
     }
 
-    /// A hundredth of the other's error is not worth what it would be alone.
+    /// What goes by place in the pixel falls by N^¼ more than what goes by ray: n² = 72, 18, 4.5.
     #[test]
-    fn a_region_that_is_exact_asks_for_none() {
-        assert_eq!(of(&seen([0.005, 0.0, 0.0], [0.1, 0.1, 0.0], 1)), [1, 8]);
+    fn places_are_stratified_over_all_samples() {
+        let noisy = [0.1, 0.1, 0.0];
+        assert_eq!([1, 256, 65536].map(|samples| of(&seen_by(samples, noisy, noisy, 1))), [[8, 8], [4, 4], [2, 2]]);
+    }
+
+    /// D² is 0.01 where it was dealt out to two, R = 0.01 − V/2.
+    #[test]
+    fn shadow_rays_are_dealt_out_where_that_saves() {
+        let chosen = |saves: f32| choices(&seen([0.0, 0.1, saves], [0.0, 0.1, saves], 1));
+        // Error times price by hand: one camera ray 0.014 · 37; dealt out to two 0.010 · 40, four 0.008 · 44, eight 0.007 · 52.
+        assert_eq!(chosen(0.008), [Choice { views: 4, deals: true }; 2]);
+        // 0.0105 · 37, 0.010 · 40.
+        assert_eq!(chosen(0.001), [Choice::ONE; 2]);
+        // Camera rays that pay without need not be dealt out to.
+        assert_eq!(choices(&seen([0.1, 0.1, 0.0], [0.1, 0.1, 0.0], 1)), [Choice { views: 8, deals: false }; 2]);
+    }
+
+    /// Alone it would have the most. Beside a noisy one it has four times as many as are worth it: of W = 2·0.1² that is 8, of
+    /// the 400th part one less than a half, of the 1600th less than a quarter.
+    #[test]
+    fn a_region_that_is_nearly_exact_has_few() {
+        let noisy = [0.1, 0.1, 0.0];
+        assert_eq!(of(&seen([0.005, 0.0, 0.0], noisy, 1)), [2, 8]);
+        assert_eq!(of(&seen([0.0025, 0.0, 0.0], noisy, 1)), [1, 8]);
+        assert_eq!(of(&seen([0.005, 0.0, 0.0], [0.0; 3], 1)), [MOST, 1]);
     }
 
     /// Half of the samples are brighter than the other half expects, or darker: as what is expected has it, or the other way
@@ -201,14 +308,14 @@ mod tests {
     #[test]
     fn what_does_not_go_with_the_expectation_asks_for_none() {
         let of = |goes: f32| {
-            let mut views = Views::new([REGION, REGION], 16);
+            let mut views = Views::new([REGION, REGION], 1, 16);
             for i in 0..100 {
                 let at = if i % 2 == 0 { 0.1 } else { -0.1 };
                 let noise = if i % 4 < 2 { 0.1 } else { -0.1 };
-                views.notice([i % REGION, 0], &[1.0 + at, 1.0 - at], (1.0 + goes * at + noise, true), 0.0);
+                take_in(&views, [i % REGION, 0], &[1.0 + at, 1.0 - at], 1.0 + goes * at + noise);
             }
             views.settle();
-            views.of([0, 0])
+            views.of([0, 0]).views
         };
         assert_eq!([of(1.0), of(0.5), of(0.0), of(-1.0)], [8, 1, 1, 1]);
     }
@@ -216,32 +323,34 @@ mod tests {
     /// A background, however much it differs from place to place: no shadow ray is saved.
     #[test]
     fn where_no_shadow_ray_is_traced_there_is_one() {
-        let mut views = Views::new([REGION, REGION], 16);
-        views.notice([0, 0], &[1.0, 0.5], (1.0, false), 0.0);
+        let mut views = Views::new([REGION, REGION], 1, 16);
+        let sample = Seen { expected: &[1.0, 0.5], known: 1.0, traced: false, dealt: true, saved: Some(0.1) };
+        views.notice([0, 0], sample);
         views.settle();
-        assert_eq!(views.of([0, 0]), 1);
+        assert_eq!(views.of([0, 0]), Choice::ONE);
     }
 
     #[test]
     fn what_is_no_number_is_not_taken_in_and_no_light_has_but_its_price() {
-        let views = Views::new([REGION, REGION], 16);
+        let views = Views::new([REGION, REGION], 1, 16);
         let sums = || views.sums[0].each_ref().map(|sum| sum.load(Relaxed));
-        take_in(&views, 0, [0.1, 0.1, 0.0], 1);
+        take_in_many(&views, 0, [0.1, 0.1, 0.0], 1);
         let before = sums();
         for expected in [[f32::NAN, 1.0], [f32::INFINITY, 1.0]] {
-            views.notice([0, 0], &expected, (0.0, true), 0.0);
+            take_in(&views, [0, 0], &expected, 0.0);
         }
         assert_eq!(sums(), before);
-        // A black background.
-        views.notice([0, 0], &[0.0, 0.0], (0.0, false), 0.0);
-        let [between, beside, samples, traced] = before;
-        assert_eq!(sums(), [between, beside, samples + 1, traced]);
+        // A black sample: it has its price.
+        take_in(&views, [0, 0], &[0.0, 0.0], 0.0);
+        let [.., samples, noted, traced] = before;
+        assert_eq!(sums()[4..], [samples + 1, noted, traced + 1]);
+        assert_eq!(sums()[..3], before[..3]);
     }
 
     #[test]
     fn nobody_goes_by_what_a_pass_sees_before_its_end() {
         let mut views = seen([0.0, 0.1, 0.0], [0.0, 0.1, 0.0], 1);
-        take_in(&views, REGION, [0.5, 0.0, 0.0], 1);
+        take_in_many(&views, REGION, [0.5, 0.0, 0.0], 1);
         assert_eq!(of(&views), [1, 1]);
         views.settle();
         assert_eq!(of(&views)[0], 1);
