@@ -2,8 +2,8 @@
 //!
 //! Camera samples that trace shadow rays have others beside them that don't: those show what the sampler expects there,
 //! C, and the shaded ones how it is wrong, I − C. The mean of C over all and of I − C over the shaded is unbiased whatever C
-//! is, and edges, textures and bumps inside a pixel are seen by cheap rays ([`Integrator::expected`]). A shaded sample's own
-//! rays begin at all of them that may stand in for it ([`Post`]). What mirrors show is traced by all of them, each its share
+//! is, and edges, textures and bumps inside a pixel are seen by cheap rays ([`Integrator::expected`]). Where it pays,
+//! a shaded sample's own rays begin at all of them that may stand in for it ([`Post`]). What mirrors show is traced by all of them, each its share
 //! of the rays ([`Integrator::mirrored`]).
 
 use super::flush::flush;

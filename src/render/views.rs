@@ -90,7 +90,8 @@ pub(super) struct Views {
     rays: u32,
     /// What is left of V and W, measured by what is left of R, in the mean over a pixel's samples.
     left: f64,
-    /// By region.
+    /// By region, relative to the light, sample by sample: Σ W (of either sign), Σ D², Σ V of those noted, and what part of V
+    /// is in each D²; samples, those noted, and those that traced shadow rays.
     sums: Vec<[AtomicI64; 7]>,
     /// By what was seen when the last pass ended.
     chosen: Vec<Choice>,
@@ -287,6 +288,8 @@ mod tests {
         let chosen = |saves: f32| choices(&seen([0.0, 0.1, saves], [0.0, 0.1, saves], 1));
         // Error times price by hand: one camera ray 0.014 · 37; dealt out to two 0.010 · 40, four 0.008 · 44, eight 0.007 · 52.
         assert_eq!(chosen(0.008), [Choice { views: 4, deals: true }; 2]);
+        // 0.0115 · 37, 0.010 · 40, 0.00925 · 44. (Half as much saved would not pay.)
+        assert_eq!(chosen(0.003), [Choice { views: 2, deals: true }; 2]);
         // 0.0105 · 37, 0.010 · 40.
         assert_eq!(chosen(0.001), [Choice::ONE; 2]);
         // Camera rays that pay without need not be dealt out to.
