@@ -210,6 +210,7 @@ impl Render<'_> {
         let mut first = 0;
         let mut mirrors = s.mirrored.iter().peekable();
         let mut saved = s.saved.iter().peekable();
+        let mut notes = seen.notes();
         for &expected in &s.expected {
             let CameraSample { pixel, views, deals: dealt, noted, .. } = s.cameras[first];
             let of_sample = &s.samples[first..first + views as usize];
@@ -221,7 +222,7 @@ impl Render<'_> {
             s.lights[0] = light(shown);
             let saved = saved.next_if(|saved| saved.0 as usize == first).map_or(0.0, |saved| saved.1);
             let (traced, saved) = (s.hits[first].is_hit(), noted.then_some(saved));
-            seen.notice(pixel, Seen { expected: &s.lights, known, traced, dealt, saved });
+            notes.take_in(pixel, Seen { expected: &s.lights, known, traced, dealt, saved });
             first += views as usize;
         }
     }

@@ -116,27 +116,9 @@ impl Views {
         (y / REGION) as usize * self.columns as usize + (x / REGION) as usize
     }
 
-    /// Takes in a sample of a pixel.
-    pub(super) fn notice(&self, pixel: [u32; 2], sample: Seen<'_>) {
-        let Seen { expected, known, traced, dealt, saved } = sample;
-        let count = expected.len() as f32;
-        let mean = expected.iter().sum::<f32>() / count;
-        let light = expected.iter().map(|c| c * c).sum::<f32>() / count + known * known;
-        if count < 2.0 || !light.is_finite() {
-            return;
-        }
-        let differs = expected.iter().map(|c| (c - mean) * (c - mean)).sum::<f32>();
-        let beside = known - expected[0];
-        // The first is any of them: the mean of its product with how far it stands out is that of the covariance.
-        let between = (differs + 2.0 * count * beside * (expected[0] - mean)) / (count - 1.0);
-        // Without light there is no number, which counts nothing; the sample has its price.
-        let [between, square, of_places] =
-            [between, beside * beside, saved.unwrap_or(0.0)].map(|square| (square / light * ONE) as i64);
-        let places_in_square = ((if dealt { 1.0 / count } else { 1.0 }) * ONE) as i64;
-        let more = [between, square, of_places, places_in_square, 1, i64::from(saved.is_some()), i64::from(traced)];
-        for (sum, more) in self.sums[self.region(pixel)].iter().zip(more) {
-            sum.fetch_add(more, Relaxed);
-        }
+    /// To take in samples.
+    pub(super) fn notes(&self) -> Notes<'_> {
+        Notes { views: self, region: 0, sums: [0; 7] }
     }
 
     /// Goes by all that was taken in from now on; between passes.
@@ -188,6 +170,56 @@ impl Views {
     }
 }
 
+/// Samples of one thread, most of them of the same region as the one before: threads share the sums.
+pub(super) struct Notes<'a> {
+    views: &'a Views,
+    region: usize,
+    /// Not yet added to the region's.
+    sums: [i64; 7],
+}
+
+impl Notes<'_> {
+    /// Takes in a sample of a pixel.
+    pub(super) fn take_in(&mut self, pixel: [u32; 2], sample: Seen<'_>) {
+        let Seen { expected, known, traced, dealt, saved } = sample;
+        let count = expected.len() as f32;
+        let mean = expected.iter().sum::<f32>() / count;
+        let light = expected.iter().map(|c| c * c).sum::<f32>() / count + known * known;
+        if count < 2.0 || !light.is_finite() {
+            return;
+        }
+        let differs = expected.iter().map(|c| (c - mean) * (c - mean)).sum::<f32>();
+        let beside = known - expected[0];
+        // The first is any of them: the mean of its product with how far it stands out is that of the covariance.
+        let between = (differs + 2.0 * count * beside * (expected[0] - mean)) / (count - 1.0);
+        // Without light there is no number, which counts nothing; the sample has its price.
+        let [between, square, of_places] =
+            [between, beside * beside, saved.unwrap_or(0.0)].map(|square| (square / light * ONE) as i64);
+        let places_in_square = ((if dealt { 1.0 / count } else { 1.0 }) * ONE) as i64;
+        let more = [between, square, of_places, places_in_square, 1, i64::from(saved.is_some()), i64::from(traced)];
+        let region = self.views.region(pixel);
+        if region != self.region {
+            self.add();
+            self.region = region;
+        }
+        for (sum, more) in self.sums.iter_mut().zip(more) {
+            *sum += more;
+        }
+    }
+
+    fn add(&mut self) {
+        for (sum, more) in self.views.sums[self.region].iter().zip(&mut self.sums) {
+            sum.fetch_add(std::mem::take(more), Relaxed);
+        }
+    }
+}
+
+impl Drop for Notes<'_> {
+    fn drop(&mut self) {
+        self.add();
+    }
+}
+
 /// All samples of a region.
 struct Region {
     /// W, V, R.
@@ -224,12 +256,13 @@ mod tests {
     use super::*;
 
     fn take_in(views: &Views, pixel: [u32; 2], expected: &[f32], known: f32) {
-        views.notice(pixel, Seen { expected, known, traced: true, dealt: false, saved: None });
+        views.notes().take_in(pixel, Seen { expected, known, traced: true, dealt: false, saved: None });
     }
 
     /// Takes in a hundred samples of a region: what they expect is 1 ± `between`, turns out `beside` more; one in `traced` has
     /// shadow rays, dealing these out would save so much.
     fn take_in_many(views: &Views, x: u32, [between, beside, saves]: [f32; 3], traced: u32) {
+        let mut notes = views.notes();
         for i in 0..100 {
             let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
             let known = 1.0 + between + sign * beside;
@@ -237,7 +270,7 @@ mod tests {
             // Of two that are alike one is noted.
             let (dealt, saved) = (saves > 0.0, (saves > 0.0 && i % 4 < 2).then_some(saves));
             let expected = &[1.0 + between, 1.0 - between];
-            views.notice([x + i % REGION, 0], Seen { expected, known, traced, dealt, saved });
+            notes.take_in([x + i % REGION, 0], Seen { expected, known, traced, dealt, saved });
         }
     }
 
@@ -328,7 +361,7 @@ mod tests {
     fn where_no_shadow_ray_is_traced_there_is_one() {
         let mut views = Views::new([REGION, REGION], 1, 16);
         let sample = Seen { expected: &[1.0, 0.5], known: 1.0, traced: false, dealt: true, saved: Some(0.1) };
-        views.notice([0, 0], sample);
+        views.notes().take_in([0, 0], sample);
         views.settle();
         assert_eq!(views.of([0, 0]), Choice::ONE);
     }
