@@ -22,6 +22,9 @@ const CELLS_A_BUCKET: usize = 10;
 /// Set with the place where a line has no room for all of its cells: what follows is the last one's place.
 const CROWDED: u32 = 1 << 31;
 
+/// So many cells of a crowded line, which is most often all, are looked through at once.
+pub(super) const CROWD: usize = 32;
+
 /// More than any count.
 const NONE: u32 = u32::MAX;
 
@@ -58,8 +61,8 @@ pub(super) struct Buckets {
 pub(super) struct Found {
     /// Along the curve.
     pub(super) place: u32,
-    /// Where its counts begin in its group's, and how many they are.
-    pub(super) begin: u32,
+    /// How far the count lies beyond the cell's first, and how many the cell has.
+    pub(super) offset: u32,
     pub(super) width: u32,
 }
 
@@ -119,19 +122,48 @@ impl View<'_> {
         lanes::begun(self.lines, line, at)
     }
 
-    /// The cell in a line that count `at` of its group falls to, where `begun` is the last beginning that does not
-    /// exceed it. `begins` are those of all cells.
+    /// Whether a line has no room for all of its cells.
     #[inline(always)]
-    pub(super) fn cell(&self, line: u32, begun: u32, at: u32, begins: &[u32]) -> Found {
+    pub(super) fn is_crowded(&self, line: u32) -> bool {
         let Line(line) = &self.lines[line as usize];
-        let place = line[0];
-        if place & CROWDED != 0 {
-            let place = search(begins, [place & !CROWDED, line[1]], at);
-            let (begin, width) = counts(begins, place);
-            return Found { place, begin, width };
-        }
+        line[0] & CROWDED != 0
+    }
+
+    /// The cell in a line that count `at` of its group falls to, where `begun` is the last beginning that does not
+    /// exceed it. Of a crowded line it says nothing of worth.
+    #[inline(always)]
+    pub(super) fn cell(&self, line: u32, begun: u32, at: u32) -> Found {
+        let Line(line) = &self.lines[line as usize];
         let (begin, end) = (line[begun as usize % line.len()], line[(begun as usize + 1) % line.len()]);
-        Found { place: place + begun - 1, begin, width: end - begin }
+        let place = line[0].wrapping_add(begun).wrapping_sub(1);
+        Found { place, offset: at.wrapping_sub(begin), width: end.wrapping_sub(begin) }
+    }
+
+    /// Asks memory for the beginnings of a crowded line's cells.
+    #[inline(always)]
+    pub(super) fn ask_for_crowd(&self, line: u32, begins: &[u32]) {
+        let [low, high] = self.crowd(line);
+        let size = high - low + 1;
+        // Where a search goes first, or all that it reads.
+        let from = if size > CROWD as u32 { low + size / 2 } else { low };
+        prefetch(begins, from as usize);
+        prefetch(begins, from as usize + CROWD / 2);
+    }
+
+    /// The cell in a crowded line that count `at` of its group falls to. `begins` are those of all cells, and [`CROWD`]
+    /// more.
+    #[inline(always)]
+    pub(super) fn cell_in_crowd(&self, line: u32, at: u32, begins: &[u32]) -> Found {
+        let place = search(begins, self.crowd(line), at);
+        let (begin, width) = counts(begins, place);
+        Found { place, offset: at - begin, width }
+    }
+
+    /// The first and the last cell of a crowded line.
+    #[inline(always)]
+    fn crowd(&self, line: u32) -> [u32; 2] {
+        let Line(line) = &self.lines[line as usize];
+        [line[0] & !CROWDED, line[1]]
     }
 }
 
@@ -180,13 +212,19 @@ pub(super) fn counts(begins: &[u32], place: u32) -> (u32, u32) {
 #[inline(always)]
 fn search(begins: &[u32], [low, high]: [u32; 2], at: u32) -> u32 {
     let (mut low, mut size) = (low, high - low + 1);
-    while size > 1 {
+    while size > CROWD as u32 {
         // No branch: which way it goes is a coin's toss.
         let next = low + size / 2;
         low = select_unpredictable(begins[next as usize] <= at, next, low);
         size -= size / 2;
     }
-    low
+    // No beginning waits for another.
+    let mut begun = [0; CROWD];
+    begun.copy_from_slice(&begins[low as usize..][..CROWD]);
+    for (i, begun) in (0..).zip(&mut begun) {
+        *begun = u32::from((*begun <= at) & (i < size));
+    }
+    low + begun.into_iter().sum::<u32>() - 1
 }
 
 #[cfg(test)]
@@ -210,7 +248,7 @@ mod tests {
                 begins
             })
             .collect();
-        let begins: Vec<u32> = groups.iter().flatten().copied().chain([0]).collect();
+        let begins: Vec<u32> = groups.iter().flatten().copied().chain([0; CROWD]).collect();
         let mut buckets = Buckets::new(groups.iter().map(Vec::len));
         let mut place = 0;
         for (room, of_group) in buckets.rooms().zip(&groups) {
@@ -228,10 +266,14 @@ mod tests {
                 let cell = of_group.partition_point(|&begin| begin <= at) - 1;
                 let end = of_group.get(cell + 1).unwrap_or(&COUNTS);
                 let begin = of_group[cell];
-                let expected = Found { place: first + cell as u32, begin, width: end - begin };
+                let expected = Found { place: first + cell as u32, offset: at - begin, width: end - begin };
                 let line = buckets.ask_for(group as u32, at);
                 let begun = buckets.begun(&[line], &[at])[0];
-                assert_eq!(buckets.cell(line, begun, at, &begins), expected, "{group}: {at}");
+                let found = match buckets.is_crowded(line) {
+                    true => buckets.cell_in_crowd(line, at, &begins),
+                    false => buckets.cell(line, begun, at),
+                };
+                assert_eq!(found, expected, "{group}: {at}");
             }
             first += of_group.len() as u32;
         }

@@ -325,10 +325,20 @@ impl<const N: usize> Block<N> {
         let begins = texels.begins();
         let buckets = texels.buckets.view();
         let begun = buckets.begun(&self.line[..count], &self.at);
+        let mut find = |i: usize, Found { place, offset, width }| {
+            (self.along[i], self.offset[i], self.width[i]) = (place, offset, width);
+        };
+        // No branch: some domes have many crowded lines.
+        let (mut crowded, mut many) = ([0; N], 0);
         for (i, &begun) in begun.iter().enumerate().take(count) {
-            let Found { place, begin, width } = buckets.cell(self.line[i], begun, self.at[i], begins);
-            (self.along[i], self.offset[i], self.width[i]) = (place, self.at[i] - begin, width);
+            let line = self.line[i];
+            find(i, buckets.cell(line, begun, self.at[i]));
+            crowded[many % N] = i;
+            many += usize::from(buckets.is_crowded(line));
         }
+        let crowded = &crowded[..many];
+        crowded.iter().for_each(|&i| buckets.ask_for_crowd(self.line[i], begins));
+        crowded.iter().for_each(|&i| find(i, buckets.cell_in_crowd(self.line[i], self.at[i], begins)));
         let order = texels.order();
         for i in 0..count {
             let leaf = self.leaf[i];

@@ -3,7 +3,7 @@
 use super::super::cells::{DomeCells, Place};
 use super::super::preconvolution::Preconvolution;
 use super::super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
-use super::buckets::{Buckets, counts};
+use super::buckets::{CROWD, Buckets, counts};
 use crate::pages::Pages;
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
@@ -52,7 +52,7 @@ pub(super) struct Span {
 pub(super) struct Texels {
     /// Cells along the curve.
     order: Pages<Lit>,
-    /// Where each cell's counts begin in its group's CDF; parallel to `order`, and one 0 more.
+    /// Where each cell's counts begin in its group's CDF; parallel to `order`, and [`CROWD`] 0s more.
     begins: Pages<u32>,
     /// By slot.
     pub(super) leaves: Vec<Span>,
@@ -67,7 +67,7 @@ impl Texels {
         let lit = |&cell: &u32| Lit { place: cells.locate(cell), radiance: cells.radiance(cell).to_array() };
         let mut order = Pages::zeroed(tessellation.cells.len());
         order.par_iter_mut().zip(&tessellation.cells).for_each(|(to, cell)| *to = lit(cell));
-        let mut begins = Pages::zeroed(tessellation.cells.len() + 1);
+        let mut begins = Pages::zeroed(tessellation.cells.len() + CROWD);
         let mut leaves: Vec<Span> = triangles.cells.iter().map(span).collect();
         let groups: Vec<Span> = leaves.chunks(LEAVES_A_GROUP).map(around).collect();
         let mut buckets = Buckets::new(groups.iter().map(|group| (group.end - group.begin) as usize));
