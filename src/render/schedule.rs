@@ -164,9 +164,11 @@ pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
             sequence: if lattice.is_first() { u32::MAX } else { 0 },
             replicate: 0,
             before: 0,
-            // The first stage knows nothing yet to go by; where most pixels are still to come it pays to look about.
+            // The first stage knows nothing yet to go by, it sees how bright the image is; where most pixels are still to come it
+            // pays to look about.
             looks: match lattice.to {
                 _ if settings.camera_rays.is_some() => Looks::BY_WHAT_WAS_SEEN,
+                1 => Looks { least: 1, about: true },
                 2..=4 => Looks { least: 4, about: true },
                 8..=16 => Looks { least: 2, about: true },
                 _ => Looks::BY_WHAT_WAS_SEEN,

@@ -81,9 +81,9 @@ impl Render<'_> {
                     let place = each * view + at;
                     s.cameras.push(CameraSample { pixel, place, places, numbers, view, views, deals, noted });
                 }
-                if s.cameras.len() >= CHUNK {
-                    self.chunk(world, (pass, seen), s, film, &mut counts);
-                }
+            }
+            if s.cameras.len() >= CHUNK {
+                self.chunk(world, (pass, seen), s, film, &mut counts);
             }
         }
         self.chunk(world, (pass, seen), s, film, &mut counts);

@@ -23,6 +23,7 @@
 
 use std::io::{self, Read, Write};
 use std::iter;
+use std::mem;
 use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
 
 /// Side of a region, pixels.
@@ -44,6 +45,10 @@ const OWN: f64 = 4.0;
 
 /// Rounds in which the image's error and the regions' choices settle.
 const ROUNDS: u32 = 16;
+
+/// What errors count against beside the light where they are, of the square of the image's logarithmic mean: an error in the
+/// dark is not seen beside what is bright.
+const GLARE: f32 = 0.5;
 
 /// What a term counts that is as large as the light itself.
 const ONE: f32 = 65536.0;
@@ -82,6 +87,9 @@ pub(super) struct Seen<'a> {
     pub(super) saved: Option<f32>,
 }
 
+/// What is summed up of a region.
+type Sums<T> = [T; 9];
+
 /// What was seen of the image's regions.
 #[derive(Debug)]
 pub(super) struct Views {
@@ -90,9 +98,12 @@ pub(super) struct Views {
     rays: u32,
     /// What is left of V and W, measured by what is left of R, in the mean over a pixel's samples.
     left: f64,
-    /// By region, relative to the light, sample by sample: Σ W (of either sign), Σ D², Σ V of those noted, and what part of V
-    /// is in each D²; samples, those noted, and those that traced shadow rays.
-    sums: Vec<[AtomicI64; 7]>,
+    /// What errors count against beside the light where they are, as far as the image is known.
+    glare: f32,
+    /// By region, relative to the light, sample by sample: Σ W (of either sign), Σ R + V, Σ V of those noted, and what part of V
+    /// is in each R + V; samples, those noted, and those that traced shadow rays; logarithms of their light, and how many have
+    /// any.
+    sums: Vec<Sums<AtomicI64>>,
     /// By what was seen when the last pass ended.
     chosen: Vec<Choice>,
 }
@@ -107,6 +118,7 @@ impl Views {
             columns,
             rays,
             left: f64::from(samples).powf(-0.25),
+            glare: 0.0,
             sums: (0..count).map(|_| Default::default()).collect(),
             chosen: vec![Choice::ONE; count],
         }
@@ -118,14 +130,17 @@ impl Views {
 
     /// To take in samples.
     pub(super) fn notes(&self) -> Notes<'_> {
-        Notes { views: self, region: 0, sums: [0; 7] }
+        Notes { views: self, region: 0, sums: Sums::default(), pixel: Pixel::default() }
     }
 
     /// Goes by all that was taken in from now on; between passes.
     pub(super) fn settle(&mut self) {
         let price = POINT + RAY * f64::from(self.rays);
-        let of_region = |sums: &mut [AtomicI64; 7]| {
-            let [between, square, of_places, places_in_square, samples, noted, traced] =
+        let of_image = |i: usize| self.sums.iter().map(|sums| sums[i].load(Relaxed)).sum::<i64>() as f64;
+        let [logarithms, lit] = [7, 8].map(of_image);
+        self.glare = if lit > 0.0 { GLARE * (2.0 * logarithms / lit / f64::from(ONE)).exp2() as f32 } else { 0.0 };
+        let of_region = |sums: &mut Sums<AtomicI64>| {
+            let [between, square, of_places, places_in_square, samples, noted, traced, ..] =
                 sums.each_mut().map(|sum| *sum.get_mut() as f64);
             let of_places = of_places.max(0.0) / noted.max(1.0);
             Region {
@@ -175,7 +190,29 @@ pub(super) struct Notes<'a> {
     views: &'a Views,
     region: usize,
     /// Not yet added to the region's.
-    sums: [i64; 7],
+    sums: Sums<i64>,
+    /// All samples of a pixel come one after another.
+    pixel: Pixel,
+}
+
+/// A pixel's samples, luminances and products of two.
+#[derive(Default)]
+struct Pixel {
+    at: [u32; 2],
+    samples: f32,
+    /// Σ of the variance of C.
+    differs: f32,
+    /// Σ D, Σ D².
+    beside: f32,
+    square: f32,
+    /// Σ of how far C at the first camera ray stands out of what all of them expect, and Σ of its products with D; each by what
+    /// makes these twice the covariance.
+    out: f32,
+    product: f32,
+    /// Σ V.
+    saved: f32,
+    /// Σ of the light's square.
+    light: f32,
 }
 
 impl Notes<'_> {
@@ -185,37 +222,75 @@ impl Notes<'_> {
         let count = expected.len() as f32;
         let mean = expected.iter().sum::<f32>() / count;
         let light = expected.iter().map(|c| c * c).sum::<f32>() / count + known * known;
-        if count < 2.0 || !light.is_finite() {
+        if !light.is_finite() {
             return;
         }
-        let differs = expected.iter().map(|c| (c - mean) * (c - mean)).sum::<f32>();
+        if pixel != self.pixel.at {
+            self.end_pixel();
+            self.pixel.at = pixel;
+            let region = self.views.region(pixel);
+            if region != self.region {
+                self.add();
+                self.region = region;
+            }
+        }
+        if known > 0.0 {
+            self.sums[7] += (known.log2() * ONE) as i64;
+            self.sums[8] += 1;
+        }
+        if count < 2.0 {
+            return;
+        }
+        let of_pixel = &mut self.pixel;
         let beside = known - expected[0];
         // The first is any of them: the mean of its product with how far it stands out is that of the covariance.
-        let between = (differs + 2.0 * count * beside * (expected[0] - mean)) / (count - 1.0);
-        // Without light there is no number, which counts nothing; the sample has its price.
-        let [between, square, of_places] =
-            [between, beside * beside, saved.unwrap_or(0.0)].map(|square| (square / light * ONE) as i64);
+        let out = 2.0 * count / (count - 1.0) * (expected[0] - mean);
+        of_pixel.samples += 1.0;
+        of_pixel.differs += expected.iter().map(|c| (c - mean) * (c - mean)).sum::<f32>() / (count - 1.0);
+        of_pixel.beside += beside;
+        of_pixel.square += beside * beside;
+        of_pixel.out += out;
+        of_pixel.product += out * beside;
+        of_pixel.saved += saved.unwrap_or(0.0);
+        of_pixel.light += light + self.views.glare;
         let places_in_square = ((if dealt { 1.0 / count } else { 1.0 }) * ONE) as i64;
-        let more = [between, square, of_places, places_in_square, 1, i64::from(saved.is_some()), i64::from(traced)];
-        let region = self.views.region(pixel);
-        if region != self.region {
-            self.add();
-            self.region = region;
-        }
-        for (sum, more) in self.sums.iter_mut().zip(more) {
+        let more = [places_in_square, 1, i64::from(saved.is_some()), i64::from(traced)];
+        for (sum, more) in self.sums[3..].iter_mut().zip(more) {
             *sum += more;
+        }
+    }
+
+    /// Adds the pixel's samples to their region's.
+    fn end_pixel(&mut self) {
+        let Pixel { samples: n, differs, beside, square, out, product, saved, light, .. } = mem::take(&mut self.pixel);
+        if n > 0.0 {
+            // What D is in the pixel's mean is no noise, the correction of what is expected is meant to bring it. Of a single
+            // sample it is not known.
+            let (square, product) = match n > 1.0 {
+                true => (
+                    n / (n - 1.0) * (square - beside * beside / n).max(0.0),
+                    n / (n - 1.0) * (product - beside * out / n),
+                ),
+                false => (square, product),
+            };
+            // Without light there is no number, which counts nothing; the sample has its price.
+            let more = [differs + product, square, saved].map(|sum| (sum / light * n * ONE) as i64);
+            for (sum, more) in self.sums.iter_mut().zip(more) {
+                *sum += more;
+            }
         }
     }
 
     fn add(&mut self) {
         for (sum, more) in self.views.sums[self.region].iter().zip(&mut self.sums) {
-            sum.fetch_add(std::mem::take(more), Relaxed);
+            sum.fetch_add(mem::take(more), Relaxed);
         }
     }
 }
 
 impl Drop for Notes<'_> {
     fn drop(&mut self) {
+        self.end_pixel();
         self.add();
     }
 }
@@ -243,9 +318,6 @@ impl Region {
 
     /// What each sample has where a price of one is worth so much error.
     fn choice(&self, worth: f64) -> Choice {
-        if self.shadow_rays == 0.0 {
-            return Choice::ONE;
-        }
         let counts = |choice| self.error(choice) + worth * self.price(choice);
         Choice::all().min_by(|&a, &b| counts(a).total_cmp(&counts(b))).unwrap_or(Choice::ONE)
     }

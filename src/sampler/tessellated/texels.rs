@@ -3,7 +3,7 @@
 use super::super::cells::{DomeCells, Place};
 use super::super::preconvolution::Preconvolution;
 use super::super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
-use super::buckets::{CROWD, Buckets, counts};
+use super::buckets::{Buckets, CROWD, counts};
 use crate::pages::Pages;
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
