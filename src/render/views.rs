@@ -489,8 +489,8 @@ mod tests {
             of(&views)
         };
         assert_eq!(of(1.0), [8, 8]);
-        // Its error counts by 2/(2 + 0.5 · 10²), and it has twice as many as that asks for; by 2/(2 + 0.5 · 31.6²).
-        assert_eq!([of(0.01), of(0.001)], [[4, 8], [1, 8]]);
+        // Its error counts by 2/(2 + 0.5 · 10²), and it has twice as many as that asks for; by 2/(2 + 0.5 · 100²).
+        assert_eq!([of(0.01), of(0.0001)], [[4, 8], [1, 8]]);
     }
 
     #[test]
