@@ -399,14 +399,14 @@ fn a_wrong_picture_is_found_out() {
 }
 
 /// Holds films of several thread counts and tile sizes against one thread's, bit for bit.
-fn assert_same_films(parts: Vec<(Mesh, Material)>) {
+fn assert_same_films(parts: Vec<(Mesh, Material)>, spp: u32) {
     let (stage, dome) = (Stage::new(parts), sun());
     let film = |threads: usize, tile: u32| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let shot = Shot { side: 128, tile, camera_rays: None, ..stage.shot(&dome, 12, 8) };
+        let shot = Shot { side: 128, tile, camera_rays: None, ..stage.shot(&dome, spp, 8) };
         // For this size: beyond the image it was made for, blocks would be shared by tiles.
         let (plugin, params) = resolve("sampler", SAMPLERS, "tessellated:groups=128,triangles=1024").unwrap();
-        let setup = Setup { size: [128; 2], gloss: stage.scene.needs.gloss, rays: 8, spp: 12 };
+        let setup = Setup { size: [128; 2], gloss: stage.scene.needs.gloss, rays: 8, spp };
         let mut sampler = (plugin.make)(&dome, &params, &setup).unwrap();
         let picture = pool.install(|| shot.take(sampler.as_mut(), 3));
         picture.film.pixels.iter().map(|p| p.sum.map(f64::to_bits)).collect::<Vec<_>>()
@@ -424,15 +424,16 @@ fn assert_same_films(parts: Vec<(Mesh, Material)>) {
 
 #[test]
 fn the_image_does_not_depend_on_threads_or_tiles() {
-    assert_same_films(occluders());
+    assert_same_films(occluders(), 12);
 }
 
-/// A mirror draws nothing from the dome: its rays must not count towards what others drew.
+/// A mirror draws nothing from the dome: its rays must not count towards what others drew. And a number of samples that no
+/// batch of camera rays is a multiple of: how they differ within a pixel is seen of all of them.
 #[test]
 fn nor_does_that_of_glossy_things() {
     let mut parts = occluders();
     parts[1].1 = Material { metallic: 1.0, roughness: 0.0, ..Material::default() };
     parts[2].1 =
         Material { metallic: 0.0, roughness: 0.4, base_color: Vec4::new(0.8, 0.2, 0.1, 1.0), ..Material::default() };
-    assert_same_films(parts);
+    assert_same_films(parts, 7);
 }
