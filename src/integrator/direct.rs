@@ -41,7 +41,7 @@ const NARROW: f32 = 0.0025;
 const WIDE: f32 = 0.3;
 
 /// The share of the rays that a lobe has at least. A wide one that reflects less has none: the irradiance's directions show
-/// it well enough, at half of the time.
+/// it as well, a tenth of a render sooner, though they are not dealt out.
 const LEAST: f32 = 0.25;
 
 /// Directions of a lobe treated together.

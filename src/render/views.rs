@@ -402,7 +402,7 @@ mod tests {
     }
 
     /// Alone it would have the most. Beside a noisy one it has twice as many as are worth it: of W = 2·0.1² these are 8, of the
-    /// hundredth part one less than one, of the 400th less than a half.
+    /// hundredth part two, of the 400th one.
     #[test]
     fn a_region_that_is_nearly_exact_has_few() {
         let noisy = [0.1, 0.1, 0.0];
