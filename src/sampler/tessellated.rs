@@ -514,6 +514,34 @@ mod tests {
         }
     }
 
+    /// A sun below the horizon of the sample that a lobe's weights were made for, and above that of the next, which shares
+    /// them: were it left to the lobe's own directions, one of thousands would find it and outshine the picture.
+    #[test]
+    fn a_sun_that_only_some_samples_of_a_pixel_see_is_drawn_for_them() {
+        let grid = Grid::new(1024, 512, 0.0);
+        let sun = 100 * 1024 + 700;
+        let texels = (0..grid.len()).map(|texel| [if texel == sun { 1e6 } else { 0.1 }; 3]).collect();
+        let dome = Arc::new(Dome { grid, texels, faults: Faults::default() });
+        let sampler = sampler(&dome, "tessellated");
+        let to_sun = grid.direction(700.5, 100.5);
+        let aside = to_sun.any_orthonormal_vector();
+        let mut draws = Draws::default();
+        for (alpha, up) in [0.1f32, 0.3, 0.8].into_iter().flat_map(|a| [0.2, 0.5, 0.8].map(|up| (a, up))) {
+            // Two normals as far apart as samples that share weights may be: the sun stands `up` of that above the second's
+            // horizon, the rest below the first's.
+            let apart = 0.999 * 0.25 * alpha;
+            let normal = |above: f32| (aside * above.cos() + to_sun * above.sin()).normalize();
+            let specular = Some(Specular { alpha, f0: Vec3::splat(0.5), f90: 1.0 });
+            let bsdf = Bsdf { diffuse: Vec3::ZERO, specular };
+            let wo = (2.0 * aside - to_sun).normalize();
+            for above in [up - 1.0, up] {
+                sampler.draw_gloss(&Point { wo, bsdf, ..point(normal(above * apart), 3) }, 16, &mut draws);
+            }
+            let share = f64::from(pdf_gloss(&sampler, &draws, to_sun, sun as u32)) * grid.solid_angle(100);
+            assert!(share > 0.1, "α {alpha}, {up}: {share} of the directions");
+        }
+    }
+
     #[test]
     fn in_the_last_stage_draws_are_the_same_and_nothing_is_counted() {
         for mode in ["full", "seed"] {

@@ -9,7 +9,7 @@ use super::texels::COUNTS;
 use super::weights::{Weights, about_sqrt};
 use crate::bsdf::Specular;
 use crate::dome::Dome;
-use crate::sampler::preconvolution::Preconvolution;
+use crate::sampler::preconvolution::{Preconvolution, soft};
 use crate::sampler::shadow_cache::NO_TARGET;
 use crate::sampler::tessellation::Cells;
 use crate::sampler::{Glossy, Point, TOGETHER};
@@ -63,6 +63,43 @@ impl Glimpse {
     }
 }
 
+/// A lobe as it reflects what comes from an extended piece of the dome, about.
+pub(super) struct Blurred {
+    alpha: f32,
+    alpha2: f32,
+    normal: Vec3,
+    wo: Vec3,
+    /// Cosine of the viewer's direction.
+    out: f32,
+}
+
+impl Blurred {
+    #[inline(always)]
+    pub(super) fn new(lobe: &Specular, normal: Vec3, wo: Vec3) -> Self {
+        Self { alpha: lobe.alpha, alpha2: lobe.alpha * lobe.alpha, normal, wo, out: wo.dot(normal).max(1e-3) }
+    }
+
+    /// The reflectance but for Fresnel's, sr⁻¹, for light from about `axis`, and how much of f90 is in that.
+    #[inline(always)]
+    pub(super) fn reflects(&self, axis: Vec3, spread2: f32) -> [f32; 2] {
+        let &Self { alpha, alpha2, normal, wo, out } = self;
+        let cosine = axis.dot(normal);
+        // |wo + wi|² = 4 (v·h)².
+        let sum2 = 2.0 + 2.0 * axis.dot(wo) + 1e-6;
+        let by_sum2 = about_reciprocal(sum2);
+        let blurred = alpha2 + spread2 * BLUR * by_sum2;
+        let alpha2 = if blurred < 1.0 { blurred } else { 1.0 };
+        let d = (out + cosine) * (out + cosine) * by_sum2 * (alpha2 - 1.0) + 1.0;
+        // About Smith's masking, after Hammon (2017).
+        let above = if cosine > 0.0 { cosine } else { 0.0 };
+        let product = 2.0 * out * above;
+        let masking = product + alpha * (out + above - product);
+        let grazing = 1.0 - 0.5 * about_sqrt(sum2);
+        let grazing2 = grazing * grazing;
+        [alpha2 * (0.5 * FRAC_1_PI) * about_reciprocal(d * d * masking), grazing2 * grazing2 * grazing]
+    }
+}
+
 /// Makes the weights of one lobe.
 pub(super) struct WeighLobe<'a> {
     pub(super) triangles: &'a Preconvolution,
@@ -79,32 +116,22 @@ impl Kernel for WeighLobe<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { triangles, lobe, normal: n, wo, visibility, weights } = self;
+        let Self { triangles, lobe, normal, wo, visibility, weights } = self;
         let groups = &triangles.groups;
         let count = groups.x.len();
         let [x, y, z] = groups.axis.each_ref().map(|row| &row[..count]);
-        let (f, spread2) = (&groups.f[..count], &groups.spread2[..count]);
+        let [f, s, r, spread2] = [&groups.f, &groups.s, &groups.r, &groups.spread2].map(|row| &row[..count]);
         let weighted = weights.clear(count);
-        let own = lobe.alpha * lobe.alpha;
+        let blurred = Blurred::new(lobe, normal, wo);
         let f0 = lobe.f0.element_sum() * (1.0 / 3.0);
-        let out = wo.dot(n).max(1e-3);
+        // Some of the samples that they serve are turned further towards a group than this one.
+        let turned = ALIKE * lobe.alpha;
         for g in 0..count {
-            let cosine = n.x * x[g] + n.y * y[g] + n.z * z[g];
-            let to_viewer = wo.x * x[g] + wo.y * y[g] + wo.z * z[g];
-            // |wo + wi|² = 4 (v·h)².
-            let sum2 = 2.0 + 2.0 * to_viewer + 1e-6;
-            let by_sum2 = about_reciprocal(sum2);
-            let blurred = own + spread2[g] * BLUR * by_sum2;
-            let alpha2 = if blurred < 1.0 { blurred } else { 1.0 };
-            let d = (out + cosine) * (out + cosine) * by_sum2 * (alpha2 - 1.0) + 1.0;
-            // About Smith's masking, after Hammon (2017).
-            let product = 2.0 * out * cosine;
-            let masking = product + lobe.alpha * (out + cosine - product);
-            let grazing = 1.0 - 0.5 * about_sqrt(sum2);
-            let grazing2 = grazing * grazing;
-            let fresnel = f0 + (lobe.f90 - f0) * (grazing2 * grazing2 * grazing);
-            let value = alpha2 * fresnel * cosine * f[g] * (0.5 * FRAC_1_PI) * about_reciprocal(d * d * masking);
-            weighted[g] = if cosine > 0.0 && value > 0.0 { value } else { 0.0 };
+            let axis = Vec3::new(x[g], y[g], z[g]);
+            let [value, grazing] = blurred.reflects(axis, spread2[g]);
+            let irradiance = soft((axis.dot(normal) + turned) * f[g], s[g], r[g]);
+            let value = value * (f0 + (lobe.f90 - f0) * grazing) * irradiance;
+            weighted[g] = if value > 0.0 { value } else { 0.0 };
         }
         if let Some(visibility) = visibility {
             for (weighted, &m) in weighted.iter_mut().zip(&visibility[..count]) {
