@@ -9,6 +9,8 @@
 //!
 //! Below a roughness of 0.05 the lobe is left to its own directions. What a curved mirror shows differs most from place to
 //! place in the pixel: these directions are dealt out to all camera rays of a sample ([`Integrator::mirrored`]).
+//! Wider lobes show a sun in few of a pixel's places: what it adds there is known to all camera rays, but whether it arrives,
+//! which each asks with a ray ([`Integrator::glint`]).
 
 use super::gloss::Gloss;
 use super::lambert::Lambert;
@@ -20,7 +22,7 @@ use crate::dome::Dome;
 use crate::random;
 use crate::registry::Plugin;
 use crate::sampler::shadow_cache::NO_TARGET;
-use crate::sampler::{DomeSampler, Draws, Numbers, Point};
+use crate::sampler::{DomeSampler, Draws, Glint, Numbers, Point};
 use crate::scene::{Surface, offset_origin};
 use crate::simd::{dispatch, prefetch};
 use glam::Vec3;
@@ -107,6 +109,16 @@ impl Integrator for Direct {
             weight: 1.0 / parts as f32,
         };
         shade.lobe(draws, queue);
+    }
+
+    fn glint(&self, world: &World<'_>, point: &Shading<'_>, view: u32) -> Option<Glint> {
+        let surface = point.surface;
+        let alpha = surface.roughness * surface.roughness;
+        if surface.unlit || !(NARROW..WIDE).contains(&alpha) {
+            return None;
+        }
+        let bsdf = Bsdf::new(surface, point.wo);
+        world.sampler.glint(&sampled(point, bsdf), bsdf.specular.as_ref()?, view)
     }
 
     fn expects(&self, sampler: &dyn DomeSampler) -> bool {

@@ -19,7 +19,7 @@ use crate::accel::{Accel, Ray};
 use crate::dome::Dome;
 use crate::error::Result;
 use crate::registry::{Params, Plugin};
-use crate::sampler::{DomeSampler, Draws, Numbers};
+use crate::sampler::{DomeSampler, Draws, Glint, Numbers};
 use crate::scene::{Scene, Surface};
 use crate::vectors::Vectors;
 use glam::Vec3;
@@ -182,6 +182,12 @@ pub trait Integrator: Debug + Send + Sync {
     /// begin, if anything. `draws` is scratch.
     fn expected(&self, _world: &World<'_>, _point: &Shading<'_>, _draws: &mut Draws) -> (Vec3, Option<Post>) {
         (Vec3::ZERO, None)
+    }
+
+    /// What a point shows beside what is [expected](Self::expected) if a ray in this direction arrives, which one is to be
+    /// traced for: any function of the point and of random numbers that differ from camera ray to camera ray (`view`).
+    fn glint(&self, _: &World<'_>, _: &Shading<'_>, _view: u32) -> Option<Glint> {
+        None
     }
 
     /// Whether [`Self::shade`] leaves a surface's reflections to [`Self::mirrored`].

@@ -1,7 +1,7 @@
 //! A queue of shadow rays is traced: what arrives, and what the sampler learns from it.
 
 use super::Counts;
-use super::tile::{MIRRORED, Scratch};
+use super::tile::{GLINT, MIRRORED, Scratch};
 use crate::dome::Dome;
 use crate::integrator::{World, visibility};
 use crate::simd::{Kernel, dispatch};
@@ -15,7 +15,7 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
     // Layers first: what is hidden is forgotten below.
     let mut first = 0;
     for &(sample, rays) in &queue.samples {
-        let camera = camera(sample, &s.mirrored);
+        let camera = camera(sample, &s.mirrored, &s.glints);
         let Some(aovs) = &mut s.samples[camera].aovs else { break };
         let views = s.cameras[camera].views as f32;
         for i in first..first + rays as usize {
@@ -33,9 +33,10 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
     for &(sample, rays) in &queue.samples {
         let of_sample = first..first + rays as usize;
         let arrived = [r, g, b].map(|row| row[of_sample.clone()].iter().sum::<f32>());
-        let camera = camera(sample, &s.mirrored);
-        let to = match sample & MIRRORED {
+        let camera = camera(sample, &s.mirrored, &s.glints);
+        let to = match sample & (MIRRORED | GLINT) {
             0 => &mut s.samples[camera].radiance,
+            GLINT => &mut s.glints[(sample & !GLINT) as usize].1,
             _ => &mut s.mirrored[(sample & !MIRRORED) as usize].1,
         };
         *to += s.cameras[camera].views as f32 * Vec3::from(arrived);
@@ -47,9 +48,10 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
 }
 
 /// The camera ray that a queue's sample is.
-fn camera(sample: u32, mirrored: &[(u32, Vec3)]) -> usize {
-    match sample & MIRRORED {
+fn camera(sample: u32, mirrored: &[(u32, Vec3)], glints: &[(u32, Vec3)]) -> usize {
+    match sample & (MIRRORED | GLINT) {
         0 => sample as usize,
+        GLINT => glints[(sample & !GLINT) as usize].0 as usize,
         _ => mirrored[(sample & !MIRRORED) as usize].0 as usize,
     }
 }

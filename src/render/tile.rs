@@ -4,7 +4,8 @@
 //! C, and the shaded ones how it is wrong, I − C. The mean of C over all and of I − C over the shaded is unbiased whatever C
 //! is, and edges, textures and bumps inside a pixel are seen by cheap rays ([`Integrator::expected`]). Where it pays,
 //! a shaded sample's own rays begin at all of them that may stand in for it ([`Post`]). What mirrors show is traced by all of them, each its share
-//! of the rays ([`Integrator::mirrored`]).
+//! of the rays ([`Integrator::mirrored`]). Where a sun glints, all of them trace a ray for it, and C is what arrives
+//! ([`Integrator::glint`]).
 
 use super::flush::flush;
 use super::schedule::{self, Looks, Pass};
@@ -17,6 +18,7 @@ use crate::film::{AovSample, Part, Sample};
 use crate::integrator::visibility::{self, nearest};
 use crate::integrator::{Among, Lambert, Post, Queue, Shading, World};
 use crate::random;
+use crate::sampler::shadow_cache::NO_TARGET;
 use crate::sampler::{DomeSampler, Draws, Numbers};
 use crate::scene::{Surface, offset_origin};
 use crate::simd::{Kernel, dispatch};
@@ -103,6 +105,7 @@ impl Render<'_> {
         s.samples.clear();
         s.expected.clear();
         s.mirrored.clear();
+        s.glints.clear();
         s.posts.clear();
         s.saved.clear();
         let gloss = self.scene.needs.gloss;
@@ -148,6 +151,22 @@ impl Render<'_> {
             let mut post = None;
             if views > 1 {
                 (radiance, post) = self.integrator.expected(world, &point, &mut s.draws);
+                if gloss && let Some(glint) = self.integrator.glint(world, &point, camera.view) {
+                    let (position, error) = match placed {
+                        true => (surface.position, surface.error),
+                        false => self.scene.place(&refined()),
+                    };
+                    let origin = offset_origin(position, error, surface.ng, glint.dir);
+                    s.queue.sample = i as u32;
+                    if shaded {
+                        s.queue.sample = GLINT | s.glints.len() as u32;
+                        s.glints.push((i as u32, Vec3::ZERO));
+                    }
+                    s.queue.push(Ray::new(origin, glint.dir), glint.radiance / views as f32);
+                    if world.sampler.listens() {
+                        s.queue.targets.push(NO_TARGET);
+                    }
+                }
             }
             if deals {
                 if !shaded {
@@ -193,6 +212,11 @@ impl Render<'_> {
         for &(sample, mirrored) in &s.mirrored {
             s.samples[sample as usize].radiance += mirrored;
         }
+        for &(sample, glint) in &s.glints {
+            // It was expected of the shaded one as of the others, and is known.
+            let others = (s.cameras[sample as usize].views - 1) as f32;
+            s.samples[sample as usize].radiance -= others * glint;
+        }
         for (&CameraSample { pixel, numbers, views, .. }, value) in s.cameras.iter().zip(&s.samples) {
             if value.radiance.is_finite() {
                 film.add(pixel, value, pass.weight / views as f32);
@@ -209,6 +233,7 @@ impl Render<'_> {
         let light = |radiance: Vec3| Dome::weight(radiance.to_array());
         let mut first = 0;
         let mut mirrors = s.mirrored.iter().peekable();
+        let mut glints = s.glints.iter().peekable();
         let mut saved = s.saved.iter().peekable();
         let mut notes = seen.notes();
         for &expected in &s.expected {
@@ -219,7 +244,8 @@ impl Render<'_> {
             // The first one holds what its rays have brought once for each.
             let shown = mirrors.next_if(|mirrored| mirrored.0 as usize == first).map_or(expected, |m| expected + m.1);
             let known = light(shown) + (s.lights[0] - light(expected)) / views as f32;
-            s.lights[0] = light(shown);
+            let glint = glints.next_if(|glint| glint.0 as usize == first).map_or(Vec3::ZERO, |glint| glint.1);
+            s.lights[0] = light(shown + glint);
             let saved = saved.next_if(|saved| saved.0 as usize == first).map_or(0.0, |saved| saved.1);
             let (traced, saved) = (s.hits[first].is_hit(), noted.then_some(saved));
             notes.take_in(pixel, Seen { expected: &s.lights, known, traced, dealt, saved });
@@ -273,6 +299,9 @@ impl Render<'_> {
 
 /// Set in a queue's sample where its rays are for what it mirrors: an index of `mirrored`.
 pub(super) const MIRRORED: u32 = 1 << 31;
+
+/// The same for what glints there: an index of `glints`.
+pub(super) const GLINT: u32 = 1 << 30;
 
 /// A camera ray to be traced.
 #[derive(Debug, Clone, Copy)]
@@ -382,6 +411,8 @@ pub(super) struct Scratch {
     expected: Vec<Vec3>,
     /// Which of these mirror something, and what.
     pub(super) mirrored: Vec<(u32, Vec3)>,
+    /// Which of them show a glint, and what of that arrives.
+    pub(super) glints: Vec<(u32, Vec3)>,
     /// What dealing out the rays of shaded ones saves: see [`Queue::saved`].
     pub(super) saved: Vec<(u32, f32)>,
     lights: Vec<f32>,

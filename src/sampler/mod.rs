@@ -18,7 +18,7 @@ pub mod tessellated;
 pub mod tessellation;
 pub mod uniform;
 
-use crate::bsdf::Bsdf;
+use crate::bsdf::{Bsdf, Specular};
 use crate::dome::Dome;
 use crate::error::Result;
 use crate::random;
@@ -166,6 +166,15 @@ impl Glossy {
         Self { pdf: [0.0; TOGETHER], visible: [0.0; TOGETHER], target: [shadow_cache::NO_TARGET; TOGETHER] };
 }
 
+/// What a lobe would show of something small and bright, were nothing in between.
+#[derive(Debug, Clone, Copy)]
+pub struct Glint {
+    /// Unit direction towards it.
+    pub dir: Vec3,
+    /// W·m⁻²·sr⁻¹ a channel.
+    pub radiance: Vec3,
+}
+
 /// What a sampler has to say after a render.
 #[derive(Debug, Clone, Default, serde::Serialize)]
 pub struct SamplerStats {
@@ -243,6 +252,12 @@ pub trait DomeSampler: Debug + Send + Sync {
     /// density, a number that those have in common. `out` is scratch.
     fn expected(&self, _point: &Point, _out: &mut Draws) -> (Vec3, Option<u64>) {
         (Vec3::ZERO, None)
+    }
+
+    /// About what a specular lobe shows of what outshines the rest of the dome, if that is notable: a function of the point
+    /// and of random numbers that differ from camera ray to camera ray (`view`) of the sample.
+    fn glint(&self, _point: &Point, _lobe: &Specular, _view: u32) -> Option<Glint> {
+        None
     }
 
     /// Whether later stages profit from what earlier ones saw.

@@ -20,6 +20,7 @@
 mod buckets;
 mod draw;
 mod expected;
+mod glints;
 mod gloss;
 mod irradiance;
 mod lanes;
@@ -43,7 +44,8 @@ use super::cells::DomeCells;
 use super::preconvolution::Preconvolution;
 use super::shadow_cache::ShadowCache;
 use super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
-use super::{DomeSampler, Draws, Glossy, MakeSampler, Point, Prepared, SamplerStats, Setup, TOGETHER};
+use super::{DomeSampler, Draws, Glint, Glossy, MakeSampler, Point, Prepared, SamplerStats, Setup, TOGETHER};
+use crate::bsdf::Specular;
 use crate::dome::Dome;
 use crate::error::{Error, Result};
 use crate::registry::{Kind, Opt, Params, Plugin};
@@ -51,6 +53,7 @@ use crate::simd::dispatch;
 use draw::MOST_AT_HORIZON;
 use expected::Expected;
 use glam::Vec3;
+use glints::{Glints, Show};
 use gloss::{LookUp, WeighLobe};
 use irradiance::{Irradiance, Sweep};
 use leaves::LeafCounts;
@@ -139,6 +142,8 @@ pub struct Tessellated {
     table: Vec<OnceLock<Irradiance>>,
     /// What surfaces are expected to receive; empty without a cache.
     expected: Expected,
+    /// Suns that lobes may show; empty without gloss.
+    glints: Glints,
     prepare_s: f64,
 }
 
@@ -218,9 +223,10 @@ impl Tessellated {
         let normals = Normals::new(params.integer("normals").unwrap_or(paid_for) as usize);
         let table = if cache.is_some() { vec![OnceLock::new(); normals.count()] } else { Vec::new() };
         let expected = if cache.is_some() { Expected::new(&preconvolved) } else { Expected::default() };
+        let glints = if setup.gloss { Glints::new(&preconvolved) } else { Glints::default() };
         let (memory, triangles) = (Memory::new(cache), preconvolved);
         let prepare_s = start.elapsed().as_secs_f64();
-        Self { cells, triangles, texels, owners, memory, normals, table, expected, prepare_s }
+        Self { cells, triangles, texels, owners, memory, normals, table, expected, glints, prepare_s }
     }
 
     /// Goes by what the cache has counted from now on.
@@ -373,6 +379,13 @@ impl DomeSampler for Tessellated {
         (self.expected.irradiance(record, ShadowCache::axis(point.ng), point.ns), alike)
     }
 
+    fn glint(&self, point: &Point, lobe: &Specular, view: u32) -> Option<Glint> {
+        if self.glints.is_empty() {
+            return None;
+        }
+        dispatch(Show { glints: &self.glints, point, lobe, view })
+    }
+
     fn place(&self, pixel: [u32; 2], seed: u32) -> u32 {
         self.memory.place(pixel, seed)
     }
@@ -431,7 +444,7 @@ impl DomeSampler for Tessellated {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bsdf::{Bsdf, Specular};
+    use crate::bsdf::Bsdf;
     use crate::dome::{Faults, project::Grid};
     use crate::registry::resolve;
     use crate::sampler::Numbers;

@@ -248,6 +248,38 @@ fn a_curved_mirror_is_seen_by_all_camera_rays() {
     assert!(eight < 0.25 * one, "variances {one} and {eight}");
 }
 
+fn brass() -> Material {
+    Material { metallic: 1.0, roughness: 0.3, base_color: Vec4::new(0.9, 0.7, 0.3, 1.0), ..Material::default() }
+}
+
+/// The sun glints on a ball and on a floor between what throws shadows on them: each camera ray asks whether it arrives.
+#[test]
+fn glints_by_all_camera_rays() {
+    let dome = sun();
+    let mut parts = occluders();
+    parts[0].1 = brass();
+    parts.push((ball(), brass()));
+    let stage = Stage::new(parts);
+    let reference = take(&stage.shot(&dome, 16, 32), 1000, || sampler("latlong", &dome, 32), |_, _| ());
+    for camera_rays in [Some(4), None] {
+        let shot = Shot { camera_rays, ..stage.shot(&dome, 20, 8) };
+        let pictures = take(&shot, 0, || sampler(CACHE, &dome, 8), |_, _| ());
+        assert_same(&format!("{camera_rays:?} camera rays"), &pictures, &reference);
+    }
+}
+
+/// Where in the pixel it looks is nearly all that a camera ray to a glint errs by.
+#[test]
+fn a_glint_is_seen_by_all_camera_rays() {
+    let (stage, dome) = (Stage::new(vec![(ball(), brass())]), sun());
+    let [one, eight] = [1, 8].map(|views| {
+        let shot = Shot { camera_rays: Some(views), ..stage.shot(&dome, 4, 8) };
+        let pictures = take(&shot, 0, || sampler(CACHE, &dome, 8), |_, _| ());
+        pictures.variance.iter().map(|v| f64::from(v.element_sum())).sum::<f64>()
+    });
+    assert!(eight < 0.5 * one, "variances {one} and {eight}");
+}
+
 #[test]
 fn a_warm_cache() {
     // Not twelve: with these seeds one open pixel of 1024 then stands out (z = −5.4), the whole picture does not. Long

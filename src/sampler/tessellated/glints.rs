@@ -1,0 +1,107 @@
+//! What a specular lobe shows of the dome's suns, of those groups that outshine the rest by far: where one glints, a pixel
+//! holds next to no light but in one place, and few of its camera samples look there.
+
+use super::gloss::Blurred;
+use super::sums::halves;
+use crate::bsdf::Specular;
+use crate::dome::Dome;
+use crate::random;
+use crate::sampler::preconvolution::{GROUP_LANES, Preconvolution};
+use crate::sampler::{Glint, Point};
+use crate::simd::Kernel;
+use glam::Vec3;
+use std::f32::consts::PI;
+
+/// Times the dome's mean radiance that a sun shines at least.
+const OUTSHINES: f32 = 8.0;
+
+/// What is worth a ray, in what a surface facing the viewer would show of a dome of the mean radiance.
+const NOTABLE: f32 = 0.25;
+
+/// The groups that are suns, as many as fill a register at most, and those with the most light.
+#[derive(Debug, Default)]
+pub(super) struct Glints {
+    count: usize,
+    axis: [[f32; GROUP_LANES]; 3],
+    spread2: [f32; GROUP_LANES],
+    /// Irradiance on a surface that faces them, W·m⁻², a row a channel.
+    flux: [[f32; GROUP_LANES]; 3],
+    /// Of the dome, W·m⁻²·sr⁻¹.
+    mean_radiance: f32,
+}
+
+impl Glints {
+    pub(super) fn new(triangles: &Preconvolution) -> Self {
+        let groups = &triangles.groups;
+        let flux = |g: usize| [0, 1, 2].map(|channel| groups.flux(g, channel).length());
+        let all = (0..groups.x.len()).map(|g| Dome::weight(flux(g))).sum::<f32>();
+        let mean_radiance = all / (4.0 * PI);
+        // A disc that spreads like the group.
+        let outshines = |&g: &usize| Dome::weight(flux(g)) > OUTSHINES * mean_radiance * PI * groups.spread2[g];
+        let mut suns: Vec<usize> = (0..groups.x.len()).filter(|&g| groups.f[g] > 0.0).filter(outshines).collect();
+        suns.sort_by(|&a, &b| groups.f[b].total_cmp(&groups.f[a]));
+        suns.truncate(GROUP_LANES);
+        let mut glints = Self { count: suns.len(), mean_radiance, ..Self::default() };
+        for (i, &g) in suns.iter().enumerate() {
+            glints.spread2[i] = groups.spread2[g];
+            for (k, flux) in flux(g).into_iter().enumerate() {
+                (glints.axis[k][i], glints.flux[k][i]) = (groups.axis[k][g], flux);
+            }
+        }
+        glints
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+}
+
+/// What a point's lobe shows of one of them or several, if that is worth a ray.
+pub(super) struct Show<'a> {
+    pub(super) glints: &'a Glints,
+    pub(super) point: &'a Point,
+    pub(super) lobe: &'a Specular,
+    /// Which of the camera sample's camera rays met the point.
+    pub(super) view: u32,
+}
+
+impl Kernel for Show<'_> {
+    type Output = Option<Glint>;
+
+    #[inline(always)]
+    fn run(self) -> Option<Glint> {
+        let Self { glints: Glints { count, axis: [x, y, z], spread2, flux, mean_radiance }, point, lobe, view } = self;
+        let &Point { ng, ns, wo, numbers, .. } = point;
+        let blurred = Blurred::new(lobe, ns, wo);
+        let (mut body, mut rim) = ([0.0; GROUP_LANES], [0.0; GROUP_LANES]);
+        for i in 0..GROUP_LANES {
+            let axis = Vec3::new(x[i], y[i], z[i]);
+            let cosine = axis.dot(ns);
+            let [value, grazing] = blurred.reflects(axis, spread2[i]);
+            let above = (cosine > 0.0) & (axis.dot(ng) > 0.0);
+            let shown = if above { value * cosine } else { 0.0 };
+            (body[i], rim[i]) = (shown * (1.0 - grazing), shown * grazing);
+        }
+        let shows = |i: usize| {
+            let reflected = lobe.f0 * body[i] + Vec3::splat(lobe.f90 * rim[i]);
+            Vec3::from(flux.each_ref().map(|flux| flux[i])) * reflected
+        };
+        let each: [Vec3; GROUP_LANES] = std::array::from_fn(shows);
+        let weights = each.map(|shown| Dome::weight(shown.to_array()));
+        let all = halves(weights);
+        if all.is_nan() || all <= NOTABLE * mean_radiance * Dome::weight(lobe.f0.to_array()) {
+            return None;
+        }
+        // One of them stands for all: any that is shown, by what is shown of it.
+        let mut left = all * random::unit(numbers.word(view, 0x6117));
+        let mut chosen = 0;
+        for i in (0..*count).filter(|&i| weights[i] > 0.0) {
+            chosen = i;
+            left -= weights[i];
+            if left < 0.0 {
+                break;
+            }
+        }
+        Some(Glint { dir: Vec3::new(x[chosen], y[chosen], z[chosen]), radiance: each.iter().sum() })
+    }
+}
