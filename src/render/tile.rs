@@ -3,9 +3,9 @@
 //! Camera samples that trace shadow rays have others beside them that don't: those show what the sampler expects there,
 //! C, and the shaded ones how it is wrong, I − C. The mean of C over all and of I − C over the shaded is unbiased whatever C
 //! is, and edges, textures and bumps inside a pixel are seen by cheap rays ([`Integrator::expected`]). Where it pays,
-//! a shaded sample's own rays begin at all of them that may stand in for it ([`Post`]). What mirrors show is traced by all of them, each its share
-//! of the rays ([`Integrator::mirrored`]). Where a sun glints, all of them trace a ray for it, and C is what arrives
-//! ([`Integrator::glint`]).
+//! a shaded sample's own rays begin at all of them that may stand in for it ([`Post`]). What mirrors show is traced by all of
+//! them, each its share of the rays ([`Integrator::mirrored`]). Where a sun glints, each traces a ray for it, and what arrives
+//! is part of C ([`Integrator::glint`]).
 
 use super::flush::flush;
 use super::schedule::{self, Looks, Pass};
@@ -140,6 +140,9 @@ impl Render<'_> {
             let hit = &if shaded { refined() } else { *hit };
             let placed = shaded || self.settings.aovs;
             let mut surface = if placed { self.scene.surface(ray, hit) } else { self.scene.look(ray, hit) };
+            let place = |surface: &Surface| {
+                if placed { (surface.position, surface.error) } else { self.scene.place(&refined()) }
+            };
             let mirrors = gloss && self.integrator.mirrors(&surface, world.sampler);
             if mirrors && !shaded {
                 (surface.position, surface.error) = self.scene.place(&refined());
@@ -152,10 +155,7 @@ impl Render<'_> {
             if views > 1 {
                 (radiance, post) = self.integrator.expected(world, &point, &mut s.draws);
                 if gloss && let Some(glint) = self.integrator.glint(world, &point, camera.view) {
-                    let (position, error) = match placed {
-                        true => (surface.position, surface.error),
-                        false => self.scene.place(&refined()),
-                    };
+                    let (position, error) = place(&surface);
                     let origin = offset_origin(position, error, surface.ng, glint.dir);
                     s.queue.sample = i as u32;
                     if shaded {
@@ -174,10 +174,7 @@ impl Render<'_> {
                     post = post.filter(|post| camera.view < rays && of.is_some_and(|of| of.alike == post.alike));
                 }
                 if let Some(Post { lambert: Lambert { origin, ng, .. }, .. }) = &mut post {
-                    let (position, error) = match shaded {
-                        true => (surface.position, surface.error),
-                        false => self.scene.place(&refined()),
-                    };
+                    let (position, error) = place(&surface);
                     *origin = offset_origin(position, error, *ng, *ng);
                 }
                 s.posts.push(post);

@@ -142,7 +142,7 @@ pub struct Tessellated {
     table: Vec<OnceLock<Irradiance>>,
     /// What surfaces are expected to receive; empty without a cache.
     expected: Expected,
-    /// Suns that lobes may show; empty without gloss.
+    /// Suns that lobes may show; empty without gloss or a cache.
     glints: Glints,
     prepare_s: f64,
 }
@@ -223,7 +223,7 @@ impl Tessellated {
         let normals = Normals::new(params.integer("normals").unwrap_or(paid_for) as usize);
         let table = if cache.is_some() { vec![OnceLock::new(); normals.count()] } else { Vec::new() };
         let expected = if cache.is_some() { Expected::new(&preconvolved) } else { Expected::default() };
-        let glints = if setup.gloss { Glints::new(&preconvolved) } else { Glints::default() };
+        let glints = if setup.gloss && cache.is_some() { Glints::new(&preconvolved) } else { Glints::default() };
         let (memory, triangles) = (Memory::new(cache), preconvolved);
         let prepare_s = start.elapsed().as_secs_f64();
         Self { cells, triangles, texels, owners, memory, normals, table, expected, glints, prepare_s }

@@ -101,7 +101,7 @@ impl Expected {
 }
 
 /// A group's flux in one channel and its direction, of unit length; whatever the unit, squares must not overflow.
-fn flux(triangles: &Preconvolution, g: usize, channel: usize) -> (f32, Vec3) {
+pub(super) fn flux(triangles: &Preconvolution, g: usize, channel: usize) -> (f32, Vec3) {
     let f = triangles.groups.flux(g, channel);
     let scale = f.abs().max_element();
     if scale == 0.0 {

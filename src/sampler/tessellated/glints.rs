@@ -1,6 +1,7 @@
 //! What a specular lobe shows of the dome's suns, of those groups that outshine the rest by far: where one glints, a pixel
 //! holds next to no light but in one place, and few of its camera samples look there.
 
+use super::expected::flux;
 use super::gloss::Blurred;
 use super::sums::halves;
 use crate::bsdf::Specular;
@@ -33,7 +34,7 @@ pub(super) struct Glints {
 impl Glints {
     pub(super) fn new(triangles: &Preconvolution) -> Self {
         let groups = &triangles.groups;
-        let flux = |g: usize| [0, 1, 2].map(|channel| groups.flux(g, channel).length());
+        let flux = |g: usize| [0, 1, 2].map(|channel| flux(triangles, g, channel).0);
         let all = (0..groups.x.len()).map(|g| Dome::weight(flux(g))).sum::<f32>();
         let mean_radiance = all / (4.0 * PI);
         // A disc that spreads like the group.
@@ -89,7 +90,7 @@ impl Kernel for Show<'_> {
         let each: [Vec3; GROUP_LANES] = std::array::from_fn(shows);
         let weights = each.map(|shown| Dome::weight(shown.to_array()));
         let all = halves(weights);
-        if all.is_nan() || all <= NOTABLE * mean_radiance * Dome::weight(lobe.f0.to_array()) {
+        if !all.is_finite() || all <= NOTABLE * mean_radiance * Dome::weight(lobe.f0.to_array()) {
             return None;
         }
         // One of them stands for all: any that is shown, by what is shown of it.
@@ -103,5 +104,59 @@ impl Kernel for Show<'_> {
             }
         }
         Some(Glint { dir: Vec3::new(x[chosen], y[chosen], z[chosen]), radiance: each.iter().sum() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bsdf::{Bsdf, ggx};
+    use crate::dome::{Faults, project::Grid};
+    use crate::sampler::Numbers;
+    use crate::sampler::cells::DomeCells;
+    use crate::sampler::tessellation::Tessellation;
+    use std::sync::Arc;
+
+    const LOBE: Specular = Specular { alpha: 0.2, f0: Vec3::new(0.9, 0.6, 0.3), f90: 1.0 };
+
+    /// Under a grey sky with this in one texel; and where that is, and how large.
+    fn glints(sun: f32) -> (Glints, Vec3, f32) {
+        let grid = Grid::new(256, 128, 0.0);
+        let texels = (0..grid.len()).map(|texel| [if texel == 40 * 256 + 70 { sun } else { 0.5 }; 3]).collect();
+        let cells = DomeCells::new(Arc::new(Dome { grid, texels, faults: Faults::default() }));
+        let triangles = Preconvolution::new(&cells, &Tessellation::new(&cells, 128, 1024));
+        (Glints::new(&triangles), grid.direction(70.5, 40.5), grid.solid_angle(40) as f32)
+    }
+
+    fn shown(glints: &Glints, ns: Vec3, ng: Vec3, wo: Vec3) -> Option<Glint> {
+        let numbers = Numbers { seed: 1, sample: 2 };
+        let bsdf = Bsdf { diffuse: Vec3::ZERO, specular: Some(LOBE) };
+        let point = Point { pixel: [0, 0], distance: 1.0, ng, ns, wo, bsdf, numbers };
+        Show { glints, point: &point, lobe: &LOBE, view: 0 }.run()
+    }
+
+    /// To a quarter: what is expected may be wrong, and then leaves a sixteenth of the variance.
+    #[test]
+    fn a_sun_is_shown_as_the_lobe_reflects_it() {
+        let (glints, sun, solid_angle) = glints(1e4);
+        let aside = sun.any_orthonormal_vector();
+        for (tilt, off) in [(0.1f32, 0.0f32), (0.5, 0.1), (0.9, -0.2)] {
+            let ns = sun * tilt.cos() + aside * tilt.sin();
+            let wo = sun * (2.0 * tilt + off).cos() + aside * (2.0 * tilt + off).sin();
+            let Some(Glint { dir, radiance }) = shown(&glints, ns, ns, wo) else { panic!("{tilt}, {off}: nothing") };
+            let frame = ggx::Frame::new(ns);
+            let (reflected, _) = ggx::eval(&LOBE, frame.to_local(wo), frame.to_local(sun));
+            let exact = reflected * (1e4 * solid_angle * sun.dot(ns));
+            assert!((radiance / exact - 1.0).abs().max_element() < 0.25, "{tilt}, {off}: {radiance}, not {exact}");
+            assert!(dir.dot(sun) > 0.999, "{tilt}, {off}: towards {dir}, not {sun}");
+            assert!(shown(&glints, ns, -sun, wo).is_none(), "below the surface's own horizon");
+            assert!(shown(&glints, -ns, -ns, -wo).is_none(), "behind");
+        }
+    }
+
+    #[test]
+    fn a_sky_without_a_sun_does_not_glint() {
+        assert!(!glints(1e4).0.is_empty());
+        assert!(glints(0.5).0.is_empty() && glints(0.0).0.is_empty());
     }
 }
