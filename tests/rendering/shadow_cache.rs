@@ -203,11 +203,16 @@ fn mirrors_by_all_camera_rays() {
     let mut parts = occluders();
     parts[0].1 = Material { metallic: 0.0, roughness: 0.0, ..Material::default() };
     parts[1].1 = Material { metallic: 1.0, roughness: 0.04, ..Material::default() };
-    let (stage, dome) = (Stage::new(parts), soft());
-    let reference = take(&stage.shot(&dome, 16, 32), 1000, || sampler("latlong", &dome, 32), |_, _| ());
-    for camera_rays in [Some(7), None] {
-        let shot = Shot { camera_rays, ..stage.shot(&dome, 4, 8) };
-        let pictures = take(&shot, 0, || sampler(CACHE, &dome, 8), |_, _| ());
+    assert_unbiased_by_all_camera_rays(parts, &soft(), 4, 7);
+}
+
+/// With so many samples, of so many camera rays and of as many as pay.
+fn assert_unbiased_by_all_camera_rays(parts: Vec<(Mesh, Material)>, dome: &Arc<Dome>, spp: u32, camera_rays: u32) {
+    let stage = Stage::new(parts);
+    let reference = take(&stage.shot(dome, 16, 32), 1000, || sampler("latlong", dome, 32), |_, _| ());
+    for camera_rays in [Some(camera_rays), None] {
+        let shot = Shot { camera_rays, ..stage.shot(dome, spp, 8) };
+        let pictures = take(&shot, 0, || sampler(CACHE, dome, 8), |_, _| ());
         assert_same(&format!("{camera_rays:?} camera rays"), &pictures, &reference);
     }
 }
@@ -223,16 +228,9 @@ fn ball() -> Mesh {
 /// where another density holds.
 #[test]
 fn curved_things_by_all_camera_rays() {
-    let dome = sun();
     let mut parts = occluders();
     parts.push((ball(), white()));
-    let stage = Stage::new(parts);
-    let reference = take(&stage.shot(&dome, 16, 32), 1000, || sampler("latlong", &dome, 32), |_, _| ());
-    for camera_rays in [Some(4), None] {
-        let shot = Shot { camera_rays, ..stage.shot(&dome, 20, 8) };
-        let pictures = take(&shot, 0, || sampler(CACHE, &dome, 8), |_, _| ());
-        assert_same(&format!("{camera_rays:?} camera rays"), &pictures, &reference);
-    }
+    assert_unbiased_by_all_camera_rays(parts, &sun(), 20, 4);
 }
 
 /// Where in the pixel it looks is all that a camera ray to a curved mirror errs by.
@@ -255,17 +253,10 @@ fn brass() -> Material {
 /// The sun glints on a ball and on a floor between what throws shadows on them: each camera ray asks whether it arrives.
 #[test]
 fn glints_by_all_camera_rays() {
-    let dome = sun();
     let mut parts = occluders();
     parts[0].1 = brass();
     parts.push((ball(), brass()));
-    let stage = Stage::new(parts);
-    let reference = take(&stage.shot(&dome, 16, 32), 1000, || sampler("latlong", &dome, 32), |_, _| ());
-    for camera_rays in [Some(4), None] {
-        let shot = Shot { camera_rays, ..stage.shot(&dome, 20, 8) };
-        let pictures = take(&shot, 0, || sampler(CACHE, &dome, 8), |_, _| ());
-        assert_same(&format!("{camera_rays:?} camera rays"), &pictures, &reference);
-    }
+    assert_unbiased_by_all_camera_rays(parts, &sun(), 20, 4);
 }
 
 /// Where in the pixel it looks is nearly all that a camera ray to a glint errs by.
