@@ -6,11 +6,12 @@ use glam::Vec3;
 use std::sync::OnceLock;
 
 /// Nodes along an axis.
-const NODES: usize = 48;
+const NODES: usize = 64;
 /// Where the nodes in the cosine crowd: a lobe changes most when seen at a slant.
 const SLANT: f32 = 0.2;
 /// Directions a node integrates over: half a turn (the other half mirrors it) × from the mirror's direction to the rim.
-const AROUND: usize = 16;
+/// (What lies below the horizon ends between two azimuths: it takes many.)
+const AROUND: usize = 32;
 const OUT: usize = 32;
 
 /// Share of f0 and share of f90, from grazing to head-on.
