@@ -140,8 +140,9 @@ impl Render<'_> {
             let hit = &if shaded { refined() } else { *hit };
             let placed = shaded || self.settings.aovs;
             let mut surface = if placed { self.scene.surface(ray, hit) } else { self.scene.look(ray, hit) };
+            // Where rays begin: the same with further layers and without.
             let place = |surface: &Surface| {
-                if placed { (surface.position, surface.error) } else { self.scene.place(&refined()) }
+                if shaded { (surface.position, surface.error) } else { self.scene.place(&refined()) }
             };
             let mirrors = gloss && self.integrator.mirrors(&surface, world.sampler);
             if mirrors && !shaded {

@@ -542,7 +542,7 @@ mod tests {
         for (alpha, up) in [0.1f32, 0.3, 0.8].into_iter().flat_map(|a| [0.2, 0.5, 0.8].map(|up| (a, up))) {
             // Two normals as far apart as samples that share weights may be: the sun stands `up` of that above the second's
             // horizon, the rest below the first's.
-            let apart = 0.999 * 0.25 * alpha;
+            let apart = 0.999 * gloss::ALIKE * alpha;
             let normal = |above: f32| (aside * above.cos() + to_sun * above.sin()).normalize();
             let specular = Some(Specular { alpha, f0: Vec3::splat(0.5), f90: 1.0 });
             let bsdf = Bsdf { diffuse: Vec3::ZERO, specular };
