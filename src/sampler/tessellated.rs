@@ -449,21 +449,15 @@ mod tests {
     use crate::registry::resolve;
     use crate::sampler::Numbers;
 
-    fn sampler(dome: &Arc<Dome>, spec: &str) -> Tessellated {
+    pub(super) fn sampler(dome: &Arc<Dome>, spec: &str) -> Tessellated {
         let (_, params) = resolve("sampler", &[PLUGIN], spec).unwrap();
         Tessellated::new(dome, &params, &Setup { size: [64, 64], gloss: true, rays: 64, spp: 1 })
     }
 
-    fn point(ns: Vec3, seed: u32) -> Point {
+    pub(super) fn point(ns: Vec3, seed: u32) -> Point {
         let bsdf = Bsdf { diffuse: Vec3::ONE, specular: None };
         let numbers = Numbers { seed, sample: 0 };
         Point { pixel: [0, 0], distance: 1.0, ng: ns, ns, wo: ns, bsdf, numbers }
-    }
-
-    fn pdf_gloss(sampler: &Tessellated, draws: &Draws, dir: Vec3, texel: u32) -> f32 {
-        let radiance = sampler.cells.dome().texels[texel as usize].map(|channel| [channel; TOGETHER]);
-        let dir = dir.to_array().map(|component| [component; TOGETHER]);
-        sampler.glossy(draws, &dir, &[texel; TOGETHER], &radiance).pdf[0]
     }
 
     fn grey(width: u32, height: u32) -> Arc<Dome> {
@@ -486,72 +480,6 @@ mod tests {
                 sum += f64::from(pdf) * sampler.cells.solid_angle(cell);
             }
             assert!((sum - 1.0).abs() < 1e-4, "normal {n}: {sum}");
-        }
-    }
-
-    /// Under a dome with a window and a sun: what is drawn has the density that is asked for later, its densities add up
-    /// to one, and a lobe that looks at the window goes there.
-    #[test]
-    fn lobes_draw_what_they_say_and_look_at_what_is_bright() {
-        let grid = Grid::new(256, 128, 0.0);
-        let is_window = |texel: usize| (40..56).contains(&(texel / 256)) && (120..136).contains(&(texel % 256));
-        let light = |texel| if is_window(texel) { 50.0 } else { 0.1 + if texel == 9000 { 1e5 } else { 0.0 } };
-        let texels = (0..grid.len()).map(|texel| [light(texel); 3]).collect();
-        let dome = Arc::new(Dome { grid, texels, faults: Faults::default() });
-        let sampler = sampler(&dome, "tessellated");
-        let mut draws = Draws::default();
-        let window = dome.grid.direction(128.0, 48.0);
-        for (alpha, normal) in [0.01, 0.1, 0.5].into_iter().flat_map(|a| [(a, Vec3::Y), (a, Vec3::X), (a, Vec3::Z)]) {
-            let specular = Some(Specular { alpha, f0: Vec3::splat(0.9), f90: 1.0 });
-            let mirrored = (2.0 * normal.dot(window) * normal - window).normalize();
-            let looks = mirrored.dot(normal) > 0.1;
-            let wo = if looks { mirrored } else { (normal + Vec3::splat(0.3)).normalize() };
-            let bsdf = Bsdf { diffuse: Vec3::ZERO, specular };
-            sampler.draw_gloss(&Point { wo, bsdf, ..point(normal, 3) }, 64, &mut draws);
-            let what = format!("α {alpha}, normal {normal}");
-            assert_eq!(draws.dir.len(), 64, "{what}");
-            let mut bright = 0;
-            for (dir, &pdf) in draws.dir.iter().zip(&draws.pdf) {
-                let texel = dome.grid.texel(dir);
-                let again = pdf_gloss(&sampler, &draws, dir, texel);
-                assert!((again / pdf - 1.0).abs() < 1e-4, "{what}: drawn with {pdf}, said to be {again}");
-                bright += u32::from(is_window(texel as usize));
-            }
-            assert!(!looks || alpha > 0.1 || bright > 48, "{what}: {bright} of 64 go to the window");
-            let density = |cell: u32| {
-                let dir = sampler.cells.sides(sampler.cells.locate(cell)).direction(0.5, 0.5);
-                f64::from(pdf_gloss(&sampler, &draws, dir, dome.grid.texel(dir))) * sampler.cells.solid_angle(cell)
-            };
-            let sum: f64 = (0..sampler.cells.count() as u32).map(density).sum();
-            assert!((sum - 1.0).abs() < 1e-4, "{what}: {sum}");
-        }
-    }
-
-    /// A sun below the horizon of the sample that a lobe's weights were made for, and above that of the next, which shares
-    /// them: were it left to the lobe's own directions, one of thousands would find it and outshine the picture.
-    #[test]
-    fn a_sun_that_only_some_samples_of_a_pixel_see_is_drawn_for_them() {
-        let grid = Grid::new(1024, 512, 0.0);
-        let sun = 100 * 1024 + 700;
-        let texels = (0..grid.len()).map(|texel| [if texel == sun { 1e6 } else { 0.1 }; 3]).collect();
-        let dome = Arc::new(Dome { grid, texels, faults: Faults::default() });
-        let sampler = sampler(&dome, "tessellated");
-        let to_sun = grid.direction(700.5, 100.5);
-        let aside = to_sun.any_orthonormal_vector();
-        let mut draws = Draws::default();
-        for (alpha, up) in [0.1f32, 0.3, 0.8].into_iter().flat_map(|a| [0.2, 0.5, 0.8].map(|up| (a, up))) {
-            // Two normals as far apart as samples that share weights may be: the sun stands `up` of that above the second's
-            // horizon, the rest below the first's.
-            let apart = 0.999 * gloss::ALIKE * alpha;
-            let normal = |above: f32| (aside * above.cos() + to_sun * above.sin()).normalize();
-            let specular = Some(Specular { alpha, f0: Vec3::splat(0.5), f90: 1.0 });
-            let bsdf = Bsdf { diffuse: Vec3::ZERO, specular };
-            let wo = (2.0 * aside - to_sun).normalize();
-            for above in [up - 1.0, up] {
-                sampler.draw_gloss(&Point { wo, bsdf, ..point(normal(above * apart), 3) }, 16, &mut draws);
-            }
-            let share = f64::from(pdf_gloss(&sampler, &draws, to_sun, sun as u32)) * grid.solid_angle(100);
-            assert!(share > 0.1, "α {alpha}, {up}: {share} of the directions");
         }
     }
 
