@@ -49,6 +49,12 @@ pub(crate) fn floor(x: f64) -> u32 {
     (floor + BEYOND).to_bits() as u32
 }
 
+/// The whole part of a number in [0, 2²²), in single precision; an odd whole number loses one.
+#[inline(always)]
+pub(crate) fn small_whole(x: f32) -> u32 {
+    (x - 0.5 + 12_582_912.0).to_bits() & 0x3f_ffff
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -82,6 +88,9 @@ mod tests {
     fn whole_parts_are_those_of_the_language() {
         for x in [0.0, 0.5, 1.0, 1.5, 2.0, 3.0 - 1e-12, 3.0, 4_294_967_295.0, 4_294_967_294.75] {
             assert_eq!(floor(x), x as u32, "{x}");
+        }
+        for x in [0.0, 0.25, 1.5, 2.0, 2.999, 4.0, 65_535.5, 4_194_302.0, 4_194_303.5] {
+            assert_eq!(small_whole(x), x as u32, "{x}");
         }
     }
 }

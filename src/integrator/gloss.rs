@@ -14,6 +14,7 @@ use crate::random;
 use crate::sampler::shadow_cache::NO_TARGET;
 use crate::sampler::{Draws, Glossy, Numbers, Point, TOGETHER};
 use crate::simd::{Kernel, dispatch, prefetch};
+use crate::trig::small_whole;
 use glam::Vec3;
 
 /// Candidates treated together.
@@ -112,8 +113,10 @@ impl Gloss<'_> {
         let (proposed, drawn) = queue.candidates.registers(all).split_at_mut(by_lobe);
         dispatch(LookAtAll { lobe: self.lobe, draws, registers: drawn });
         for Register { dir, texel, radiance, glossy, .. } in proposed {
-            let texels = texel.map(|texel| dome.texels[texel as usize]);
-            *radiance = [0, 1, 2].map(|channel| texels.map(|texel| texel[channel]));
+            for (i, &texel) in texel.iter().enumerate() {
+                let [r, g, b] = dome.texels[texel as usize];
+                (radiance[0][i], radiance[1][i], radiance[2][i]) = (r, g, b);
+            }
             *glossy = sampler.glossy(draws, dir, texel, radiance);
         }
         let start = self.numbers(0x7e51).within_stratum(0);
@@ -252,18 +255,19 @@ impl Register {
     fn weigh(&mut self, gloss: &Gloss<'_>, [of_lobe, of_dome]: [f32; 2], left: usize, learned: bool) {
         let Self { dir: [x, y, z], radiance, seen, glossy: Glossy { pdf, visible, .. }, .. } = *self;
         let ng = gloss.point.ng;
-        let mut share = [0.0; LANES];
+        // No branch, so that a register is one; what is hidden may have come out as no number.
+        let (mut share, mut shown, left) = ([0.0; LANES], [0; LANES], left.min(LANES) as u32);
         for i in 0..LANES {
             let (cosine, above) = (seen.cosine[i], x[i] * ng.x + y[i] * ng.y + z[i] * ng.z);
-            let by_density = cosine / (of_dome * pdf[i] + of_lobe * seen.pdf[i]);
+            share[i] = cosine / (of_dome * pdf[i] + of_lobe * seen.pdf[i]);
             // What is no number is not hidden: it is found out and counted.
-            let hidden = cosine <= 0.0 || above <= 0.0 || i >= left;
-            share[i] = if hidden { 0.0 } else { by_density };
+            let hidden = (cosine <= 0.0) | (above <= 0.0) | (i as u32 >= left);
+            shown[i] = if hidden { 0 } else { u32::MAX };
         }
         let mut brings = gloss.lobe.reflectances(&seen);
         for (brings, radiance) in brings.iter_mut().zip(&radiance) {
             for i in 0..LANES {
-                brings[i] = if share[i] == 0.0 { 0.0 } else { brings[i] * radiance[i] * share[i] };
+                brings[i] = f32::from_bits((brings[i] * radiance[i] * share[i]).to_bits() & shown[i]);
             }
         }
         let mut doubt = [0.0; LANES];
@@ -273,6 +277,19 @@ impl Register {
             doubt[i] = (brings[0][i] + brings[1][i] + brings[2][i]) * if learned { spread } else { 1.0 };
         }
         (self.brings, self.doubt) = (brings, doubt);
+    }
+
+    /// What each candidate's probability counts, so many to a doubt of 1.
+    #[inline(always)]
+    fn counts(&self, by: f32) -> [u32; LANES] {
+        let mut all = [0; LANES];
+        for (all, &doubt) in all.iter_mut().zip(&self.doubt) {
+            let counts = doubt * by;
+            let counts = if counts < SURE as f32 { small_whole(counts) } else { SURE };
+            // What brings anything has a chance.
+            *all = counts.max(u32::from(doubt > 0.0));
+        }
+        all
     }
 }
 
@@ -286,15 +303,13 @@ fn pick(rays: u32, start: u32, registers: &[Register], picked: &mut Vec<(u32, u3
     // No branch: which are picked is random. One is written beyond the last.
     picked.resize(registers.len() * LANES + 1, (0, 0));
     let mut count = 0;
-    for (i, &doubt) in registers.iter().flat_map(|register| &register.doubt).enumerate() {
-        let counts = doubt * by;
-        let counts = if counts < SURE as f32 { counts as u32 } else { SURE };
-        // What brings anything has a chance.
-        let counts = counts.max(u32::from(doubt > 0.0));
-        picked[count] = (i as u32, counts);
-        at += counts;
-        count += (at / SURE) as usize;
-        at %= SURE;
+    for (first, register) in (0..).step_by(LANES).zip(registers) {
+        for (i, counts) in (first..).zip(register.counts(by)) {
+            picked[count] = (i, counts);
+            at += counts;
+            count += (at / SURE) as usize;
+            at %= SURE;
+        }
     }
     picked.truncate(count);
 }

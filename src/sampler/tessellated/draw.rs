@@ -16,6 +16,7 @@ use crate::sampler::cells::{DrawRow, Place, Sides};
 use crate::sampler::preconvolution::GROUP_LANES;
 use crate::sampler::tessellation::LEAVES_A_GROUP;
 use crate::simd::{Kernel, prefetch};
+use crate::trig::small_whole;
 use glam::Vec3;
 
 /// A block of numbers that are treated together. Widths and totals are those of the level last passed.
@@ -205,14 +206,8 @@ fn remainder<const N: usize>(block: &mut Block<N>, i: usize) -> f64 {
 /// The whole part of a number in [0, 2³²). The digits of a double beyond 2⁵² are whole: vector units do that, and the
 /// language's conversion, which minds all other numbers too, they don't. (An odd whole number loses one.)
 #[inline(always)]
-pub(super) fn whole(x: f64) -> u32 {
+fn whole(x: f64) -> u32 {
     (x - 0.5 + 1.5 * 2f64.powi(52)).to_bits() as u32
-}
-
-/// The same of a number in [0, 2²²), in single precision.
-#[inline(always)]
-pub(super) fn small_whole(x: f32) -> u32 {
-    (x - 0.5 + 12_582_912.0).to_bits() & 0x3f_ffff
 }
 
 impl<const N: usize> Block<N> {

@@ -1,12 +1,12 @@
 //! The integer CDFs of groups' leaves, for the groups that are not drawn from by energy alone.
 
-use super::draw::small_whole;
 use super::irradiance::Leaves;
 use super::normals::Aim;
 use super::sums::sum;
 use crate::random;
 use crate::sampler::preconvolution::{LEAF_LANES, LeafMoments};
 use crate::sampler::tessellation::LEAVES_A_GROUP;
+use crate::trig::small_whole;
 
 /// Total of a group's leaf counts, at most.
 const LEAF_COUNTS: u16 = u16::MAX;
