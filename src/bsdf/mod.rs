@@ -65,9 +65,10 @@ impl Bsdf {
 }
 
 impl Specular {
-    /// What the lobe reflects of a white sky towards a viewer at this cosine, but for what f90 adds.
-    pub fn body(&self, cosine: f32) -> Vec3 {
-        self.f0 * albedo::shares(cosine, self.alpha)[0]
+    /// What the lobe reflects of a white sky towards a viewer at this cosine: by f0, and by f90.
+    pub fn albedo(&self, cosine: f32) -> [Vec3; 2] {
+        let [f0, f90] = albedo::shares(cosine, self.alpha);
+        [self.f0 * f0, Vec3::splat(self.f90 * f90)]
     }
 
     /// Fresnel reflectance at a half vector.

@@ -22,7 +22,7 @@ use crate::dome::Dome;
 use crate::random;
 use crate::registry::Plugin;
 use crate::sampler::shadow_cache::NO_TARGET;
-use crate::sampler::{DomeSampler, Draws, Glint, Numbers, Point};
+use crate::sampler::{DomeSampler, Draws, Expectation, Glint, Numbers, Point};
 use crate::scene::{Surface, offset_origin};
 use crate::simd::{dispatch, prefetch};
 use glam::Vec3;
@@ -131,18 +131,22 @@ impl Integrator for Direct {
             return (surface.base_color, None);
         }
         let bsdf = Bsdf::new(surface, point.wo);
-        // A wide lobe shows about what the normal's side shines with; of a narrower one that says nothing, nor of what comes
-        // from the rim.
-        let wide = bsdf.specular.filter(|lobe| lobe.alpha >= WIDE);
-        let reflects = bsdf.diffuse + wide.map_or(Vec3::ZERO, |lobe| lobe.body(point.wo.dot(surface.ns)));
-        if reflects == Vec3::ZERO {
+        let cosine = point.wo.dot(surface.ns);
+        let lobe = bsdf.specular.filter(|lobe| lobe.alpha >= NARROW);
+        let [body, rim] = lobe.map_or([Vec3::ZERO; 2], |lobe| lobe.albedo(cosine));
+        if bsdf.diffuse + body + rim == Vec3::ZERO {
             return (surface.emission, None);
         }
-        let (irradiance, alike) = world.sampler.expected(&sampled(point, bsdf), draws);
+        // A lobe shows about what its mirror image does, suns apart, which are glints; a wide one what the normal's side
+        // shines with, but at the rim.
+        let mirrored = lobe.map(|_| 2.0 * cosine * surface.ns - point.wo);
+        let Expectation { irradiance, towards, alike } = world.sampler.expected(&sampled(point, bsdf), mirrored, draws);
+        let wide = lobe.is_some_and(|lobe| lobe.alpha >= WIDE);
+        let shown = body * if wide { irradiance } else { towards } + rim * towards;
         let k = bsdf.diffuse * FRAC_1_PI;
         let lambert = Lambert { origin: Vec3::ZERO, ng: surface.ng, ns: surface.ns, k };
         let post = alike.filter(|_| k != Vec3::ZERO).map(|alike| Post { alike, lambert, expected: k * irradiance });
-        (surface.emission + reflects * FRAC_1_PI * irradiance, post)
+        (surface.emission + (bsdf.diffuse * irradiance + shown) * FRAC_1_PI, post)
     }
 }
 

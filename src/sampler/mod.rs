@@ -166,6 +166,17 @@ impl Glossy {
         Self { pdf: [0.0; TOGETHER], visible: [0.0; TOGETHER], target: [shadow_cache::NO_TARGET; TOGETHER] };
 }
 
+/// What a point is expected to receive.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Expectation {
+    /// Irradiance, W·m⁻² a channel.
+    pub irradiance: Vec3,
+    /// The same on a surface there that faces the direction asked about, but for what is small and bright.
+    pub towards: Vec3,
+    /// If any other point of its pixel has directions drawn for it with the same density, a number that those have in common.
+    pub alike: Option<u64>,
+}
+
 /// What a lobe would show of something small and bright, were nothing in between.
 #[derive(Debug, Clone, Copy)]
 pub struct Glint {
@@ -247,11 +258,10 @@ pub trait DomeSampler: Debug + Send + Sync {
         false
     }
 
-    /// About the irradiance at a point, W·m⁻² a channel, for a fraction of what a draw costs: a function of the point and
-    /// of what was learned before this stage. And, if any other point of its pixel has directions drawn for it with the same
-    /// density, a number that those have in common. `out` is scratch.
-    fn expected(&self, _point: &Point, _out: &mut Draws) -> (Vec3, Option<u64>) {
-        (Vec3::ZERO, None)
+    /// About what a point receives, for a fraction of what a draw costs: a function of the point and of what was learned
+    /// before this stage. `towards` is asked about beside the normal. `out` is scratch.
+    fn expected(&self, _point: &Point, _towards: Option<Vec3>, _out: &mut Draws) -> Expectation {
+        Expectation::default()
     }
 
     /// About what a specular lobe shows of what outshines the rest of the dome, if that is notable: a function of the point

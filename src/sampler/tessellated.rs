@@ -44,7 +44,9 @@ use super::cells::DomeCells;
 use super::preconvolution::Preconvolution;
 use super::shadow_cache::ShadowCache;
 use super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
-use super::{DomeSampler, Draws, Glint, Glossy, MakeSampler, Point, Prepared, SamplerStats, Setup, TOGETHER};
+use super::{
+    DomeSampler, Draws, Expectation, Glint, Glossy, MakeSampler, Point, Prepared, SamplerStats, Setup, TOGETHER,
+};
 use crate::bsdf::Specular;
 use crate::dome::Dome;
 use crate::error::{Error, Result};
@@ -373,11 +375,15 @@ impl DomeSampler for Tessellated {
         self.memory.is_warm()
     }
 
-    fn expected(&self, point: &Point, out: &mut Draws) -> (Vec3, Option<u64>) {
+    fn expected(&self, point: &Point, towards: Option<Vec3>, out: &mut Draws) -> Expectation {
         let record = self.memory.read(point, &mut out.prepared.found);
-        // Weights are a cell's of normals and a record's.
-        let alike = record.as_ref().map(|record| (self.normals.cell(point.ns) as u64) << 32 | u64::from(record.slot));
-        (self.expected.irradiance(record, ShadowCache::axis(point.ng), point.ns), alike)
+        let axis = ShadowCache::axis(point.ng);
+        Expectation {
+            irradiance: self.expected.irradiance(record, axis, point.ns),
+            towards: towards.map_or(Vec3::ZERO, |dir| self.expected.dim(record, axis, dir)),
+            // Weights are a cell's of normals and a record's.
+            alike: record.map(|record| (self.normals.cell(point.ns) as u64) << 32 | u64::from(record.slot)),
+        }
     }
 
     fn glint(&self, point: &Point, lobe: &Specular, view: u32) -> Option<Glint> {

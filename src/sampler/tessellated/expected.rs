@@ -80,23 +80,41 @@ impl Expected {
     /// About the irradiance on normal `n` by a record of that `axis`, W·m⁻² a channel.
     #[inline]
     pub(super) fn irradiance(&self, record: Option<Record<'_>>, axis: usize, n: Vec3) -> Vec3 {
-        let Self { groups, bright: of_groups, .. } = self;
-        let Expectation { forms, bright } = match record {
-            Some(Record { slot, visibility }) => {
-                self.records[slot as usize].get_or_init(|| summed(&groups[axis], of_groups, visibility))
-            }
-            None => &self.unknown[axis],
-        };
-        let terms = [n.x, n.y, n.z, n.x * n.x, n.y * n.y, n.z * n.z, n.x * n.y, n.x * n.z, n.y * n.z];
-        let mut irradiance = Vec3::ZERO;
-        for (form, term) in forms.iter().zip(terms) {
-            irradiance += form * term;
-        }
-        irradiance = irradiance.max(Vec3::ZERO);
-        for (of, m) in of_groups.iter().zip(bright) {
+        let expectation = self.of(record, axis);
+        let mut irradiance = expectation.dim(n);
+        for (of, m) in self.bright.iter().zip(expectation.bright) {
             irradiance += of.flux * (m * n.dot(of.dir).max(0.0));
         }
         irradiance
+    }
+
+    /// The same on a surface that faces `dir`, whatever the normal is, but for the brightest groups.
+    #[inline]
+    pub(super) fn dim(&self, record: Option<Record<'_>>, axis: usize, dir: Vec3) -> Vec3 {
+        self.of(record, axis).dim(dir)
+    }
+
+    #[inline]
+    fn of(&self, record: Option<Record<'_>>, axis: usize) -> &Expectation {
+        match record {
+            Some(Record { slot, visibility }) => {
+                let sum = || summed(&self.groups[axis], &self.bright, visibility);
+                self.records[slot as usize].get_or_init(sum)
+            }
+            None => &self.unknown[axis],
+        }
+    }
+}
+
+impl Expectation {
+    #[inline]
+    fn dim(&self, n: Vec3) -> Vec3 {
+        let terms = [n.x, n.y, n.z, n.x * n.x, n.y * n.y, n.z * n.z, n.x * n.y, n.x * n.z, n.y * n.z];
+        let mut irradiance = Vec3::ZERO;
+        for (form, term) in self.forms.iter().zip(terms) {
+            irradiance += form * term;
+        }
+        irradiance.max(Vec3::ZERO)
     }
 }
 
