@@ -233,17 +233,32 @@ fn curved_things_by_all_camera_rays() {
     assert_unbiased_by_all_camera_rays(parts, &sun(), 20, 4);
 }
 
+/// The variance of a ball by one camera ray for each sample, and by eight.
+fn ball_by_one_and_eight(material: Material, dome: &Arc<Dome>) -> [f64; 2] {
+    let stage = Stage::new(vec![(ball(), material)]);
+    [1, 8].map(|views| {
+        let shot = Shot { camera_rays: Some(views), ..stage.shot(dome, 4, 8) };
+        let pictures = take(&shot, 0, || sampler(CACHE, dome, 8), |_, _| ());
+        pictures.variance.iter().map(|v| f64::from(v.element_sum())).sum::<f64>()
+    })
+}
+
 /// Where in the pixel it looks is all that a camera ray to a curved mirror errs by.
 #[test]
 fn a_curved_mirror_is_seen_by_all_camera_rays() {
     let mirror = Material { metallic: 1.0, roughness: 0.0, ..Material::default() };
-    let (stage, dome) = (Stage::new(vec![(ball(), mirror)]), sun());
-    let [one, eight] = [1, 8].map(|views| {
-        let shot = Shot { camera_rays: Some(views), ..stage.shot(&dome, 4, 8) };
-        let pictures = take(&shot, 0, || sampler(CACHE, &dome, 8), |_, _| ());
-        pictures.variance.iter().map(|v| f64::from(v.element_sum())).sum::<f64>()
-    });
+    let [one, eight] = ball_by_one_and_eight(mirror, &sun());
     assert!(eight < 0.25 * one, "variances {one} and {eight}");
+}
+
+/// What metal shows of a sky without a sun is expected of all of them.
+#[test]
+fn the_edge_of_metal_is_seen_by_all_camera_rays() {
+    for roughness in [0.2, 0.3, 0.5, 0.8] {
+        let [one, eight] = ball_by_one_and_eight(Material { roughness, ..brass() }, &soft());
+        println!("roughness {roughness}: {}", eight / one);
+        assert!(eight < 0.5 * one, "roughness {roughness}: variances {one} and {eight}");
+    }
 }
 
 fn brass() -> Material {
@@ -262,12 +277,7 @@ fn glints_by_all_camera_rays() {
 /// Where in the pixel it looks is nearly all that a camera ray to a glint errs by.
 #[test]
 fn a_glint_is_seen_by_all_camera_rays() {
-    let (stage, dome) = (Stage::new(vec![(ball(), brass())]), sun());
-    let [one, eight] = [1, 8].map(|views| {
-        let shot = Shot { camera_rays: Some(views), ..stage.shot(&dome, 4, 8) };
-        let pictures = take(&shot, 0, || sampler(CACHE, &dome, 8), |_, _| ());
-        pictures.variance.iter().map(|v| f64::from(v.element_sum())).sum::<f64>()
-    });
+    let [one, eight] = ball_by_one_and_eight(brass(), &sun());
     assert!(eight < 0.5 * one, "variances {one} and {eight}");
 }
 
