@@ -99,15 +99,18 @@ mod tests {
     }
 
     #[test]
-    fn the_body_is_what_a_lobe_without_a_rim_reflects() {
-        for (alpha, cosine) in [(0.3, 0.95f32), (0.3, 0.2), (1.0, 0.6)] {
-            let lobe = Specular { alpha, f0: Vec3::new(0.9, 0.5, 0.1), f90: 0.0 };
+    fn a_lobes_albedo_is_what_it_reflects_with_a_rim_and_without() {
+        let views = [(0.3, 0.95f32), (0.3, 0.2), (1.0, 0.6)];
+        for (f90, (alpha, cosine)) in [0.0, 1.0].into_iter().flat_map(|f90| views.map(|view| (f90, view))) {
+            let lobe = Specular { alpha, f0: Vec3::new(0.9, 0.5, 0.1), f90 };
             let wo = Vec3::new((1.0 - cosine * cosine).sqrt(), 0.0, cosine);
             let n = 1 << 14;
             let weight = |i| ggx::sample(&lobe, wo, random::sobol2(i, 3).map(random::unit)).map_or(Vec3::ZERO, |w| w.2);
             let reflected = (0..n).map(weight).sum::<Vec3>() / n as f32;
-            let off = (lobe.body(cosine) - reflected).abs().max_element();
-            assert!(off < 5e-3, "α {alpha}, cosine {cosine}: {} {reflected}", lobe.body(cosine));
+            let [body, rim] = lobe.albedo(cosine);
+            let off = (body + rim - reflected).abs().max_element();
+            assert!(off < 5e-3, "α {alpha}, cosine {cosine}: {body} + {rim}, not {reflected}");
+            assert_eq!(rim == Vec3::ZERO, f90 == 0.0);
         }
     }
 

@@ -9,20 +9,20 @@
 //!
 //! Below a roughness of 0.05 the lobe is left to its own directions. What a curved mirror shows differs most from place to
 //! place in the pixel: these directions are dealt out to all camera rays of a sample ([`Integrator::mirrored`]).
-//! Wider lobes show a sun in few of a pixel's places: what it adds there is known to all camera rays, but whether it arrives,
-//! which each asks with a ray ([`Integrator::glint`]).
+//! What wider lobes show is expected of all camera rays from about where its mirror image is. A sun shows in few of a pixel's
+//! places: what it adds there is known to all camera rays, but whether it arrives, which each asks with a ray ([`Expected::glint`]).
 
 use super::gloss::Gloss;
 use super::lambert::Lambert;
 use super::lobe::{Lobe, Look, Propose, Proposed};
-use super::{Among, Integrator, MakeIntegrator, Post, Queue, Shading, World};
+use super::{Among, Expected, Integrator, MakeIntegrator, Post, Queue, Shading, World};
 use crate::accel::Ray;
 use crate::bsdf::{Bsdf, Specular};
 use crate::dome::Dome;
 use crate::random;
 use crate::registry::Plugin;
 use crate::sampler::shadow_cache::NO_TARGET;
-use crate::sampler::{DomeSampler, Draws, Expectation, Glint, Numbers, Point};
+use crate::sampler::{DomeSampler, Draws, Expectation, Numbers, Point};
 use crate::scene::{Surface, offset_origin};
 use crate::simd::{dispatch, prefetch};
 use glam::Vec3;
@@ -41,6 +41,9 @@ const NARROW: f32 = 0.0025;
 
 /// α of roughness 0.55: wider lobes show about what the normal's side shines with.
 const WIDE: f32 = 0.3;
+
+/// What the strongest sun in a wide lobe has at least of what all of them bring there, if they are to be a glint.
+const MOST: f32 = 0.8;
 
 /// The share of the rays that a lobe has at least. A wide one that reflects less has none: the irradiance's directions show
 /// it as well, a tenth of a render sooner, though they are not dealt out.
@@ -111,42 +114,39 @@ impl Integrator for Direct {
         shade.lobe(draws, queue);
     }
 
-    fn glint(&self, world: &World<'_>, point: &Shading<'_>, view: u32) -> Option<Glint> {
-        let surface = point.surface;
-        let alpha = surface.roughness * surface.roughness;
-        if surface.unlit || !(NARROW..WIDE).contains(&alpha) {
-            return None;
-        }
-        let bsdf = Bsdf::new(surface, point.wo);
-        world.sampler.glint(&sampled(point, bsdf), bsdf.specular.as_ref()?, view)
-    }
-
     fn expects(&self, sampler: &dyn DomeSampler) -> bool {
         sampler.expects()
     }
 
-    fn expected(&self, world: &World<'_>, point: &Shading<'_>, draws: &mut Draws) -> (Vec3, Option<Post>) {
+    fn expected(&self, world: &World<'_>, point: &Shading<'_>, view: u32, draws: &mut Draws) -> Expected {
         let surface = point.surface;
         if surface.unlit {
-            return (surface.base_color, None);
+            return Expected { radiance: surface.base_color, ..Expected::default() };
         }
         let bsdf = Bsdf::new(surface, point.wo);
         let cosine = point.wo.dot(surface.ns);
         let lobe = bsdf.specular.filter(|lobe| lobe.alpha >= NARROW);
         let [body, rim] = lobe.map_or([Vec3::ZERO; 2], |lobe| lobe.albedo(cosine));
         if bsdf.diffuse + body + rim == Vec3::ZERO {
-            return (surface.emission, None);
+            return Expected { radiance: surface.emission, ..Expected::default() };
         }
-        // A lobe shows about what its mirror image does, suns apart, which are glints; a wide one what the normal's side
-        // shines with, but at the rim.
+        let sampled = sampled(point, bsdf);
+        let glint = lobe.filter(|lobe| !is_dull(&bsdf, lobe, cosine)).and_then(|lobe| {
+            let glint = world.sampler.glint(&sampled, &lobe, view);
+            // A wide lobe shows many suns together: what the sampler knows of each says more than whether one arrives.
+            glint.filter(|glint| lobe.alpha < WIDE || glint.strongest > MOST)
+        });
+        // A lobe shows about what shines from where its mirror image is, suns apart, which are glints. Of a wide one that has
+        // none, what the normal's side shines with says more, but at the rim.
         let mirrored = lobe.map(|_| 2.0 * cosine * surface.ns - point.wo);
-        let Expectation { irradiance, towards, alike } = world.sampler.expected(&sampled(point, bsdf), mirrored, draws);
-        let wide = lobe.is_some_and(|lobe| lobe.alpha >= WIDE);
-        let shown = body * if wide { irradiance } else { towards } + rim * towards;
+        let Expectation { irradiance, towards, alike } = world.sampler.expected(&sampled, mirrored, draws);
+        let sunless = glint.is_some() || lobe.is_some_and(|lobe| lobe.alpha < WIDE);
+        let shown = body * if sunless { towards } else { irradiance } + rim * towards;
         let k = bsdf.diffuse * FRAC_1_PI;
         let lambert = Lambert { origin: Vec3::ZERO, ng: surface.ng, ns: surface.ns, k };
         let post = alike.filter(|_| k != Vec3::ZERO).map(|alike| Post { alike, lambert, expected: k * irradiance });
-        (surface.emission + (bsdf.diffuse * irradiance + shown) * FRAC_1_PI, post)
+        let radiance = surface.emission + (bsdf.diffuse * irradiance + shown) * FRAC_1_PI;
+        Expected { radiance, post, glint }
     }
 }
 
@@ -154,6 +154,18 @@ impl Integrator for Direct {
 fn sampled(point: &Shading<'_>, bsdf: Bsdf) -> Point {
     let &Shading { pixel, distance, wo, surface, numbers, .. } = point;
     Point { pixel, distance, ng: surface.ng, ns: surface.ns, wo, bsdf, numbers }
+}
+
+/// How much of what is reflected a lobe reflects.
+fn shine(bsdf: &Bsdf, lobe: &Specular, cosine: f32) -> f32 {
+    let weight = |albedo: Vec3| Dome::weight(albedo.to_array());
+    let specular = weight(lobe.fresnel(cosine)).max(f32::MIN_POSITIVE);
+    specular / (weight(bsdf.diffuse) + specular)
+}
+
+/// Whether a lobe is wide and reflects little: the diffuse term's directions show it, too.
+fn is_dull(bsdf: &Bsdf, lobe: &Specular, cosine: f32) -> bool {
+    lobe.alpha >= WIDE && shine(bsdf, lobe, cosine) < LEAST
 }
 
 /// How many rays go where.
@@ -175,23 +187,20 @@ impl Shares {
             return Self { dome: rays.div_ceil(2), gloss: 0, lobe: (rays / 2).max(1) };
         }
         let Some(lobe) = &bsdf.specular else { return Self { dome: rays, gloss: 0, lobe: 0 } };
-        let weight = |albedo: Vec3| Dome::weight(albedo.to_array());
-        let diffuse = weight(bsdf.diffuse);
-        let specular = weight(lobe.fresnel(point.wo.dot(point.surface.ns))).max(f32::MIN_POSITIVE);
-        // How much of what is reflected the lobe reflects.
-        let shine = specular / (diffuse + specular);
+        let cosine = point.wo.dot(point.surface.ns);
+        let shine = shine(bsdf, lobe, cosine);
         let mirror = lobe.alpha < NARROW;
         if !mirror && !sampler.sees_gloss() {
             // Directions by irradiance serve both terms: from a quarter to half of all come from the lobe.
             let lobe = ((rays as f32 * LEAST * (1.0 + shine)).round() as u32).max(1);
             return Self { dome: rays.saturating_sub(lobe).max(1), gloss: 0, lobe };
         }
-        if lobe.alpha >= WIDE && shine < LEAST {
+        if is_dull(bsdf, lobe, cosine) {
             return Self { dome: rays, gloss: 0, lobe: 0 };
         }
         // The lobe has a quarter at least: what it shows is narrower, and knows no exact integral.
         let most = rays.saturating_sub(((rays as f32 * LEAST) as u32).max(1));
-        let dome = ((rays as f32 * (1.0 - shine)).round() as u32).min(most).max(u32::from(diffuse > 0.0));
+        let dome = ((rays as f32 * (1.0 - shine)).round() as u32).min(most).max(u32::from(bsdf.diffuse != Vec3::ZERO));
         let left = rays.saturating_sub(dome).max(1);
         if mirror { Self { dome, gloss: 0, lobe: left } } else { Self { dome, gloss: left, lobe: 0 } }
     }

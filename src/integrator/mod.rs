@@ -68,6 +68,19 @@ pub struct Post {
     pub expected: Vec3,
 }
 
+/// What a point is taken for.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Expected {
+    /// Radiance, W·m⁻²·sr⁻¹ a channel: any function of the point and of what was learned before this stage, the nearer to what
+    /// it has the better.
+    pub radiance: Vec3,
+    /// What it is to its sample's other points, but for where rays begin, if anything.
+    pub post: Option<Post>,
+    /// What it shows beside if a ray in this direction arrives, which one is to be traced for: any function, too, of random
+    /// numbers that differ from camera ray to camera ray.
+    pub glint: Option<Glint>,
+}
+
 /// A camera ray among those of its sample.
 #[derive(Debug, Clone, Copy)]
 pub struct Among {
@@ -177,17 +190,10 @@ pub trait Integrator: Debug + Send + Sync {
         false
     }
 
-    /// What a point is taken for where no shadow ray is traced: any function of the point and of what was learned before
-    /// this stage, the nearer to its radiance the better. And what it is to its sample's other points, but for where rays
-    /// begin, if anything. `draws` is scratch.
-    fn expected(&self, _world: &World<'_>, _point: &Shading<'_>, _draws: &mut Draws) -> (Vec3, Option<Post>) {
-        (Vec3::ZERO, None)
-    }
-
-    /// What a point shows beside what is [expected](Self::expected) if a ray in this direction arrives, which one is to be
-    /// traced for: any function of the point and of random numbers that differ from camera ray to camera ray (`view`).
-    fn glint(&self, _: &World<'_>, _: &Shading<'_>, _view: u32) -> Option<Glint> {
-        None
+    /// What the point that a camera ray met (`view`, among its sample's) is taken for where no shadow ray is traced. `draws` is
+    /// scratch.
+    fn expected(&self, _world: &World<'_>, _point: &Shading<'_>, _view: u32, _draws: &mut Draws) -> Expected {
+        Expected::default()
     }
 
     /// Whether [`Self::shade`] leaves a surface's reflections to [`Self::mirrored`].

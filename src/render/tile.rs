@@ -5,7 +5,7 @@
 //! is, and edges, textures and bumps inside a pixel are seen by cheap rays ([`Integrator::expected`]). Where it pays,
 //! a shaded sample's own rays begin at all of them that may stand in for it ([`Post`]). What mirrors show is traced by all of
 //! them, each its share of the rays ([`Integrator::mirrored`]). Where a sun glints, each traces a ray for it, and what arrives
-//! is part of C ([`Integrator::glint`]).
+//! is part of C ([`Expected::glint`](crate::integrator::Expected::glint)).
 
 use super::flush::flush;
 use super::schedule::{self, Looks, Pass};
@@ -154,8 +154,9 @@ impl Render<'_> {
             let first = s.posts.len() - if deals { camera.view as usize } else { 0 };
             let mut post = None;
             if views > 1 {
-                (radiance, post) = self.integrator.expected(world, &point, &mut s.draws);
-                if gloss && let Some(glint) = self.integrator.glint(world, &point, camera.view) {
+                let expected = self.integrator.expected(world, &point, camera.view, &mut s.draws);
+                (radiance, post) = (expected.radiance, expected.post);
+                if let Some(glint) = expected.glint {
                     let (position, error) = place(&surface);
                     let origin = offset_origin(position, error, surface.ng, glint.dir);
                     s.queue.sample = i as u32;

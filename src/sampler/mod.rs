@@ -171,19 +171,21 @@ impl Glossy {
 pub struct Expectation {
     /// Irradiance, W·m⁻² a channel.
     pub irradiance: Vec3,
-    /// The same on a surface there that faces the direction asked about, but for what is small and bright.
+    /// The same on a surface there that faces the direction asked about, but for the brightest pieces of the dome.
     pub towards: Vec3,
     /// If any other point of its pixel has directions drawn for it with the same density, a number that those have in common.
     pub alike: Option<u64>,
 }
 
-/// What a lobe would show of something small and bright, were nothing in between.
+/// What a lobe would show of something small and bright, or of several such things, were nothing in between.
 #[derive(Debug, Clone, Copy)]
 pub struct Glint {
-    /// Unit direction towards it.
+    /// Unit direction towards one of them, which stands for all.
     pub dir: Vec3,
-    /// W·m⁻²·sr⁻¹ a channel.
+    /// Of all of them, W·m⁻²·sr⁻¹ a channel.
     pub radiance: Vec3,
+    /// The largest share of it that one of them has.
+    pub strongest: f32,
 }
 
 /// What a sampler has to say after a render.

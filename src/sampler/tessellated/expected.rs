@@ -191,7 +191,8 @@ mod tests {
     use crate::sampler::tessellation::{Cells, Tessellation};
     use std::sync::Arc;
 
-    /// Where all is visible the expectation is the irradiance, but for the groups at the horizon.
+    /// Where all is visible the expectation is the irradiance, but for the groups at the horizon; and without the sun that of
+    /// the sky.
     #[test]
     fn what_sees_everything_expects_the_domes_irradiance() {
         let grid = Grid::new(64, 32, 0.0);
@@ -206,16 +207,22 @@ mod tests {
             expected.forget(1);
             let record = Some(Record { slot: 0, visibility: &visible });
             for n in [axis, (axis + 0.3 * axis.any_orthonormal_vector()).normalize()] {
-                let mut exact = Vec3::ZERO;
+                let (mut exact, mut without_sun) = (Vec3::ZERO, Vec3::ZERO);
                 for cell in 0..cells.count() as u32 {
                     let cosine = cells.mean_direction(cell).as_vec3().dot(n).max(0.0);
-                    exact += cells.radiance(cell) * (cells.solid_angle(cell) as f32 * cosine);
+                    let light = cells.radiance(cell);
+                    let irradiance = light * (cells.solid_angle(cell) as f32 * cosine);
+                    exact += irradiance;
+                    without_sun += if light.x < 2.0 { irradiance } else { Vec3::ZERO };
                 }
                 let error = (expected.irradiance(record, i, n) - exact).abs();
                 // The quadratic is off by up to 3/32 of what shines about the horizon; all the sky does, the sun does not.
                 let sky: Vec3 = cells.dome().texels.iter().map(|&t| Vec3::from(t)).filter(|t| t.x < 2.0).sum();
                 let most = sky / cells.dome().texels.len() as f32 * (3.0 / 32.0 * 4.0 * std::f32::consts::PI);
                 assert!(error.cmple(most).all(), "axis {i}: {error} is above {most}");
+                // With the sun go three groups of the sky.
+                let dim = expected.dim(record, i, n) / without_sun;
+                assert!(dim.min_element() > 0.8 && dim.max_element() < 1.1, "axis {i}: {dim} of the sky");
             }
         }
     }

@@ -103,7 +103,8 @@ impl Kernel for Show<'_> {
                 break;
             }
         }
-        Some(Glint { dir: Vec3::new(x[chosen], y[chosen], z[chosen]), radiance: each.iter().sum() })
+        let strongest = weights.into_iter().fold(0.0, f32::max) / all;
+        Some(Glint { dir: Vec3::new(x[chosen], y[chosen], z[chosen]), radiance: each.iter().sum(), strongest })
     }
 }
 
@@ -143,12 +144,15 @@ mod tests {
         for (tilt, off) in [(0.1f32, 0.0f32), (0.5, 0.1), (0.9, -0.2)] {
             let ns = sun * tilt.cos() + aside * tilt.sin();
             let wo = sun * (2.0 * tilt + off).cos() + aside * (2.0 * tilt + off).sin();
-            let Some(Glint { dir, radiance }) = shown(&glints, ns, ns, wo) else { panic!("{tilt}, {off}: nothing") };
+            let Some(Glint { dir, radiance, strongest }) = shown(&glints, ns, ns, wo) else {
+                panic!("{tilt}, {off}: nothing")
+            };
             let frame = ggx::Frame::new(ns);
             let (reflected, _) = ggx::eval(&LOBE, frame.to_local(wo), frame.to_local(sun));
             let exact = reflected * (1e4 * solid_angle * sun.dot(ns));
             assert!((radiance / exact - 1.0).abs().max_element() < 0.25, "{tilt}, {off}: {radiance}, not {exact}");
             assert!(dir.dot(sun) > 0.999, "{tilt}, {off}: towards {dir}, not {sun}");
+            assert_eq!(strongest, 1.0, "{tilt}, {off}: it is alone");
             assert!(shown(&glints, ns, -sun, wo).is_none(), "below the surface's own horizon");
             assert!(shown(&glints, -ns, -ns, -wo).is_none(), "behind");
         }
