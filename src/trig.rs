@@ -1,4 +1,4 @@
-//! Trigonometry for kernels: without branches or calls, so that vector units take many at a time.
+//! Trigonometry and whole parts for kernels: without branches or calls, so that vector units take many at a time.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI, SQRT_2};
 
@@ -92,5 +92,6 @@ mod tests {
         for x in [0.0, 0.25, 1.5, 2.0, 2.999, 4.0, 65_535.5, 4_194_302.0, 4_194_303.5] {
             assert_eq!(small_whole(x), x as u32, "{x}");
         }
+        assert_eq!([small_whole(3.0), small_whole(2_097_151.8)], [2, 2_097_151]);
     }
 }

@@ -9,8 +9,9 @@
 //!
 //! Below a roughness of 0.05 the lobe is left to its own directions. What a curved mirror shows differs most from place to
 //! place in the pixel: these directions are dealt out to all camera rays of a sample ([`Integrator::mirrored`]).
-//! What wider lobes show is expected of all camera rays from about where its mirror image is. A sun shows in few of a pixel's
-//! places: what it adds there is known to all camera rays, but whether it arrives, which each asks with a ray ([`Expected::glint`]).
+//! What a wider lobe shows is expected of all camera rays: from about where the viewer's mirror image is, or if it is so wide
+//! that it hardly matters, from the normal's side. A sun shows in few of a pixel's places: what it adds there is known to all
+//! camera rays, but whether it arrives, which each asks with a ray ([`Expected::glint`]).
 
 use super::gloss::Gloss;
 use super::lambert::Lambert;
@@ -39,11 +40,11 @@ pub const PLUGIN: Plugin<MakeIntegrator> = Plugin {
 /// α of roughness 0.05: narrower lobes are sampled by themselves.
 const NARROW: f32 = 0.0025;
 
-/// α of roughness 0.55: wider lobes show about what the normal's side shines with.
+/// α of roughness 0.55: wider lobes show about what the normal's side shines with, suns that glint apart.
 const WIDE: f32 = 0.3;
 
-/// What the strongest sun in a wide lobe has at least of what all of them bring there, if they are to be a glint.
-const MOST: f32 = 0.8;
+/// How close together suns in a wide lobe are that one ray may stand for: [`Glint::together`](crate::sampler::Glint::together).
+const TOGETHER: f32 = 0.99;
 
 /// The share of the rays that a lobe has at least. A wide one that reflects less has none: the irradiance's directions show
 /// it as well, a tenth of a render sooner, though they are not dealt out.
@@ -133,15 +134,16 @@ impl Integrator for Direct {
         let sampled = sampled(point, bsdf);
         let glint = lobe.filter(|lobe| !is_dull(&bsdf, lobe, cosine)).and_then(|lobe| {
             let glint = world.sampler.glint(&sampled, &lobe, view);
-            // A wide lobe shows many suns together: what the sampler knows of each says more than whether one arrives.
-            glint.filter(|glint| lobe.alpha < WIDE || glint.strongest > MOST)
+            // A wide lobe shows windows on all sides: what the sampler knows of each says more than whether one arrives.
+            glint.filter(|glint| lobe.alpha < WIDE || glint.together > TOGETHER)
         });
-        // A lobe shows about what shines from where its mirror image is, suns apart, which are glints. Of a wide one that has
-        // none, what the normal's side shines with says more, but at the rim.
+        // A lobe shows about what shines from where its mirror image is, but for what glints. Of a wide one that has no glint,
+        // what the normal's side shines with says more, but at the rim.
         let mirrored = lobe.map(|_| 2.0 * cosine * surface.ns - point.wo);
         let Expectation { irradiance, towards, alike } = world.sampler.expected(&sampled, mirrored, draws);
-        let sunless = glint.is_some() || lobe.is_some_and(|lobe| lobe.alpha < WIDE);
-        let shown = body * if sunless { towards } else { irradiance } + rim * towards;
+        let by_mirror_image = glint.is_some() || lobe.is_some_and(|lobe| lobe.alpha < WIDE);
+        let of_body = if by_mirror_image { towards } else { irradiance };
+        let shown = body * of_body + rim * towards;
         let k = bsdf.diffuse * FRAC_1_PI;
         let lambert = Lambert { origin: Vec3::ZERO, ng: surface.ng, ns: surface.ns, k };
         let post = alike.filter(|_| k != Vec3::ZERO).map(|alike| Post { alike, lambert, expected: k * irradiance });

@@ -255,7 +255,7 @@ impl Register {
     fn weigh(&mut self, gloss: &Gloss<'_>, [of_lobe, of_dome]: [f32; 2], left: usize, learned: bool) {
         let Self { dir: [x, y, z], radiance, seen, glossy: Glossy { pdf, visible, .. }, .. } = *self;
         let ng = gloss.point.ng;
-        // No branch, so that a register is one; what is hidden may have come out as no number.
+        // No branch, so that vector units take all lanes at once; what is hidden may have come out as no number.
         let (mut share, mut shown, left) = ([0.0; LANES], [0; LANES], left.min(LANES) as u32);
         for i in 0..LANES {
             let (cosine, above) = (seen.cosine[i], x[i] * ng.x + y[i] * ng.y + z[i] * ng.z);

@@ -6,8 +6,8 @@
 //! noise. Further camera rays cost little and take the place out of it. Let W be the variance of C between the camera rays of
 //! a pixel, plus twice the covariance of D with it, which is negative where the light does not go with what is expected (a sun
 //! in stripes finer than what is learned); V the part of D's variance that n camera rays divide by n if shadow rays are dealt
-//! out to them; and R what else is left of that variance. (Not of D²: on a metal, of which little is expected, D is nearly all
-//! the light and nearly the same for all samples of a pixel.) n camera rays leave an error of R + V + W/n, or with dealing
+//! out to them; and R what else is left of that variance. (Not of D²: where little is expected of what shines, D is nearly
+//! all the light and nearly the same for all samples of a pixel.) n camera rays leave an error of R + V + W/n, or with dealing
 //! R + (V + W)/n. In the mean over a pixel's N samples, whose places are stratified together, V and W fall as N^-3/2, as where
 //! an edge goes through the pixel, R as N^-5/4, as was measured. With a sample's shadow rays at the price of a camera rays, n
 //! of these cost a + n; where nothing is hit, n alone. What counts is the whole image's error times its whole price: least

@@ -171,7 +171,7 @@ impl Glossy {
 pub struct Expectation {
     /// Irradiance, W·m⁻² a channel.
     pub irradiance: Vec3,
-    /// The same on a surface there that faces the direction asked about, but for the brightest pieces of the dome.
+    /// About the same on a surface there that faces the direction asked about, but for suns that [`DomeSampler::glint`] knows.
     pub towards: Vec3,
     /// If any other point of its pixel has directions drawn for it with the same density, a number that those have in common.
     pub alike: Option<u64>,
@@ -184,8 +184,8 @@ pub struct Glint {
     pub dir: Vec3,
     /// Of all of them, W·m⁻²·sr⁻¹ a channel.
     pub radiance: Vec3,
-    /// The largest share of it that one of them has.
-    pub strongest: f32,
+    /// How close together they are: the length of their mean direction, by what each adds. 1 for one alone.
+    pub together: f32,
 }
 
 /// What a sampler has to say after a render.

@@ -190,7 +190,7 @@ impl ShadowCache {
 
     /// Where the rays of a point are counted: the index of its first group, [`NO_TARGET`] when its block is full.
     pub fn admit(&self, pixel: [u32; 2], key: u32) -> u32 {
-        // Beyond the image all pixels would fall to the last block, which then had many writers.
+        // Beyond the image all pixels would fall to the last block, which would then have many writers.
         let covered = |i: usize| pixel[i] < self.blocks[i] * self.block;
         debug_assert!(covered(0) && covered(1), "{pixel:?} is not in the image that the cache was made for");
         let [x, y] = self.block_of(pixel[0] as f32 + 0.5, pixel[1] as f32 + 0.5);

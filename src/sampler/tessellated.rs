@@ -225,8 +225,11 @@ impl Tessellated {
         let paid_for = (pixels / PIXELS_A_NORMAL).clamp(FEW_NORMALS, NORMALS);
         let normals = Normals::new(params.integer("normals").unwrap_or(paid_for) as usize);
         let table = if cache.is_some() { vec![OnceLock::new(); normals.count()] } else { Vec::new() };
-        let expected = if cache.is_some() { Expected::new(&preconvolved) } else { Expected::default() };
         let glints = if setup.gloss && cache.is_some() { Glints::new(&preconvolved) } else { Glints::default() };
+        let expected = match cache {
+            Some(_) => Expected::new(&preconvolved, glints.groups()),
+            None => Expected::default(),
+        };
         let (memory, triangles) = (Memory::new(cache), preconvolved);
         let prepare_s = start.elapsed().as_secs_f64();
         Self { cells, triangles, texels, owners, memory, normals, table, expected, glints, prepare_s }
@@ -380,7 +383,7 @@ impl DomeSampler for Tessellated {
         let axis = ShadowCache::axis(point.ng);
         Expectation {
             irradiance: self.expected.irradiance(record, axis, point.ns),
-            towards: towards.map_or(Vec3::ZERO, |dir| self.expected.dim(record, axis, dir)),
+            towards: towards.map_or(Vec3::ZERO, |dir| self.expected.towards(record, axis, dir)),
             // Weights are a cell's of normals and a record's.
             alike: record.map(|record| (self.normals.cell(point.ns) as u64) << 32 | u64::from(record.slot)),
         }

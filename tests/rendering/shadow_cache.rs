@@ -251,13 +251,12 @@ fn a_curved_mirror_is_seen_by_all_camera_rays() {
     assert!(eight < 0.25 * one, "variances {one} and {eight}");
 }
 
-/// What metal shows of a sky without a sun is expected of all of them.
+/// What metal shows of a sky without a sun is expected of all of them. (Were nothing, all would leave what one does.)
 #[test]
 fn the_edge_of_metal_is_seen_by_all_camera_rays() {
-    for roughness in [0.2, 0.3, 0.5, 0.8] {
+    for roughness in [0.2, 0.3, 0.5] {
         let [one, eight] = ball_by_one_and_eight(Material { roughness, ..brass() }, &soft());
-        println!("roughness {roughness}: {}", eight / one);
-        assert!(eight < 0.5 * one, "roughness {roughness}: variances {one} and {eight}");
+        assert!(eight < 0.35 * one, "roughness {roughness}: variances {one} and {eight}");
     }
 }
 
@@ -270,15 +269,17 @@ fn brass() -> Material {
 fn glints_by_all_camera_rays() {
     let mut parts = occluders();
     parts[0].1 = brass();
-    parts.push((ball(), brass()));
+    parts.push((ball(), Material { roughness: 0.7, ..brass() }));
     assert_unbiased_by_all_camera_rays(parts, &sun(), 20, 4);
 }
 
 /// Where in the pixel it looks is nearly all that a camera ray to a glint errs by.
 #[test]
 fn a_glint_is_seen_by_all_camera_rays() {
-    let [one, eight] = ball_by_one_and_eight(brass(), &sun());
-    assert!(eight < 0.5 * one, "variances {one} and {eight}");
+    for roughness in [0.3, 0.7] {
+        let [one, eight] = ball_by_one_and_eight(Material { roughness, ..brass() }, &sun());
+        assert!(eight < 0.5 * one, "roughness {roughness}: variances {one} and {eight}");
+    }
 }
 
 #[test]

@@ -29,6 +29,8 @@ pub(super) struct Glints {
     flux: [[f32; GROUP_LANES]; 3],
     /// Of the dome, W·m⁻²·sr⁻¹.
     mean_radiance: f32,
+    /// Which groups of triangles they are.
+    groups: Vec<usize>,
 }
 
 impl Glints {
@@ -42,8 +44,8 @@ impl Glints {
         let mut suns: Vec<usize> = (0..groups.x.len()).filter(|&g| groups.f[g] > 0.0).filter(outshines).collect();
         suns.sort_by(|&a, &b| groups.f[b].total_cmp(&groups.f[a]));
         suns.truncate(GROUP_LANES);
-        let mut glints = Self { count: suns.len(), mean_radiance, ..Self::default() };
-        for (i, &g) in suns.iter().enumerate() {
+        let mut glints = Self { count: suns.len(), mean_radiance, groups: suns, ..Self::default() };
+        for (i, &g) in glints.groups.iter().enumerate() {
             glints.spread2[i] = groups.spread2[g];
             for (k, flux) in flux(g).into_iter().enumerate() {
                 (glints.axis[k][i], glints.flux[k][i]) = (groups.axis[k][g], flux);
@@ -54,6 +56,11 @@ impl Glints {
 
     pub(super) fn is_empty(&self) -> bool {
         self.count == 0
+    }
+
+    /// The groups of triangles that are suns.
+    pub(super) fn groups(&self) -> &[usize] {
+        &self.groups
     }
 }
 
@@ -71,7 +78,8 @@ impl Kernel for Show<'_> {
 
     #[inline(always)]
     fn run(self) -> Option<Glint> {
-        let Self { glints: Glints { count, axis: [x, y, z], spread2, flux, mean_radiance }, point, lobe, view } = self;
+        let Self { glints: Glints { count, axis: [x, y, z], spread2, flux, mean_radiance, .. }, point, lobe, view } =
+            self;
         let &Point { ng, ns, wo, numbers, .. } = point;
         let blurred = Blurred::new(lobe, ns, wo);
         let (mut body, mut rim) = ([0.0; GROUP_LANES], [0.0; GROUP_LANES]);
@@ -103,8 +111,9 @@ impl Kernel for Show<'_> {
                 break;
             }
         }
-        let strongest = weights.into_iter().fold(0.0, f32::max) / all;
-        Some(Glint { dir: Vec3::new(x[chosen], y[chosen], z[chosen]), radiance: each.iter().sum(), strongest })
+        let axis = |i: usize| Vec3::new(x[i], y[i], z[i]);
+        let mean = (0..*count).map(|i| axis(i) * weights[i]).sum::<Vec3>() / all;
+        Some(Glint { dir: axis(chosen), radiance: each.iter().sum(), together: mean.length() })
     }
 }
 
@@ -120,20 +129,30 @@ mod tests {
 
     const LOBE: Specular = Specular { alpha: 0.2, f0: Vec3::new(0.9, 0.6, 0.3), f90: 1.0 };
 
-    /// Under a grey sky with this in one texel; and where that is, and how large.
+    /// Under a grey sky with this in texels of one row.
+    fn glints_of(sun: f32, columns: &[usize]) -> Glints {
+        let grid = Grid::new(256, 128, 0.0);
+        let is_sun = |texel: usize| columns.iter().any(|column| texel == 40 * 256 + column);
+        let texels = (0..grid.len()).map(|texel| [if is_sun(texel) { sun } else { 0.5 }; 3]).collect();
+        let cells = DomeCells::new(Arc::new(Dome { grid, texels, faults: Faults::default() }));
+        Glints::new(&Preconvolution::new(&cells, &Tessellation::new(&cells, 128, 1024)))
+    }
+
+    /// In one texel; and where that is, and how large.
     fn glints(sun: f32) -> (Glints, Vec3, f32) {
         let grid = Grid::new(256, 128, 0.0);
-        let texels = (0..grid.len()).map(|texel| [if texel == 40 * 256 + 70 { sun } else { 0.5 }; 3]).collect();
-        let cells = DomeCells::new(Arc::new(Dome { grid, texels, faults: Faults::default() }));
-        let triangles = Preconvolution::new(&cells, &Tessellation::new(&cells, 128, 1024));
-        (Glints::new(&triangles), grid.direction(70.5, 40.5), grid.solid_angle(40) as f32)
+        (glints_of(sun, &[70]), grid.direction(70.5, 40.5), grid.solid_angle(40) as f32)
     }
 
     fn shown(glints: &Glints, ns: Vec3, ng: Vec3, wo: Vec3) -> Option<Glint> {
+        shown_by(LOBE, glints, ns, ng, wo)
+    }
+
+    fn shown_by(lobe: Specular, glints: &Glints, ns: Vec3, ng: Vec3, wo: Vec3) -> Option<Glint> {
         let numbers = Numbers { seed: 1, sample: 2 };
-        let bsdf = Bsdf { diffuse: Vec3::ZERO, specular: Some(LOBE) };
+        let bsdf = Bsdf { diffuse: Vec3::ZERO, specular: Some(lobe) };
         let point = Point { pixel: [0, 0], distance: 1.0, ng, ns, wo, bsdf, numbers };
-        Show { glints, point: &point, lobe: &LOBE, view: 0 }.run()
+        Show { glints, point: &point, lobe: &lobe, view: 0 }.run()
     }
 
     /// To a quarter: what is expected may be wrong, and then leaves a sixteenth of the variance.
@@ -144,7 +163,7 @@ mod tests {
         for (tilt, off) in [(0.1f32, 0.0f32), (0.5, 0.1), (0.9, -0.2)] {
             let ns = sun * tilt.cos() + aside * tilt.sin();
             let wo = sun * (2.0 * tilt + off).cos() + aside * (2.0 * tilt + off).sin();
-            let Some(Glint { dir, radiance, strongest }) = shown(&glints, ns, ns, wo) else {
+            let Some(Glint { dir, radiance, together }) = shown(&glints, ns, ns, wo) else {
                 panic!("{tilt}, {off}: nothing")
             };
             let frame = ggx::Frame::new(ns);
@@ -152,10 +171,22 @@ mod tests {
             let exact = reflected * (1e4 * solid_angle * sun.dot(ns));
             assert!((radiance / exact - 1.0).abs().max_element() < 0.25, "{tilt}, {off}: {radiance}, not {exact}");
             assert!(dir.dot(sun) > 0.999, "{tilt}, {off}: towards {dir}, not {sun}");
-            assert_eq!(strongest, 1.0, "{tilt}, {off}: it is alone");
+            assert!((together - 1.0).abs() < 1e-3, "{tilt}, {off}: it is alone");
             assert!(shown(&glints, ns, -sun, wo).is_none(), "below the surface's own horizon");
             assert!(shown(&glints, -ns, -ns, -wo).is_none(), "behind");
         }
+    }
+
+    /// A sun that lies across two groups is one, two far apart are not.
+    #[test]
+    fn suns_are_together_or_apart() {
+        let ns = Grid::new(256, 128, 0.0).direction(70.5, 40.5);
+        let together = |columns: &[usize]| {
+            let lobe = Specular { alpha: 0.8, ..LOBE };
+            shown_by(lobe, &glints_of(1e4, columns), ns, ns, ns).map(|glint| glint.together)
+        };
+        let [near, far] = [[70, 72], [50, 90]].map(|columns| together(&columns).unwrap());
+        assert!(near > 0.999 && (0.5..0.97).contains(&far), "{near} and {far}");
     }
 
     #[test]
