@@ -158,8 +158,8 @@ const FEW_GROUPS: u64 = 256;
 /// So many rays a pixel are few.
 const FEW_RAYS: u64 = 16;
 
-/// From so many rays a pixel on, small blocks of the cache have enough to say for themselves: up to a sixth less error, where
-/// things are small. With fewer they take a tenth more time and have next to no less.
+/// From so many rays a pixel on, small blocks of the cache have enough to say for themselves: up to a sixth less error where
+/// things are small, for 3 % more time. With fewer rays they take up to a tenth more, which most scenes do not get back.
 const BLOCK_RAYS: u64 = 64;
 
 /// Cells of normals where nothing is said, and in pictures with fewer pixels than so many to each: there a table of them

@@ -22,15 +22,14 @@ const NOTABLE: f32 = 0.25;
 /// The groups that are suns, as many as fill a register at most, and those with the most light.
 #[derive(Debug, Default)]
 pub(super) struct Glints {
-    count: usize,
+    /// Which groups of triangles they are.
+    groups: Vec<usize>,
     axis: [[f32; GROUP_LANES]; 3],
     spread2: [f32; GROUP_LANES],
     /// Irradiance on a surface that faces them, W·m⁻², a row a channel.
     flux: [[f32; GROUP_LANES]; 3],
     /// Of the dome, W·m⁻²·sr⁻¹.
     mean_radiance: f32,
-    /// Which groups of triangles they are.
-    groups: Vec<usize>,
 }
 
 impl Glints {
@@ -44,7 +43,7 @@ impl Glints {
         let mut suns: Vec<usize> = (0..groups.x.len()).filter(|&g| groups.f[g] > 0.0).filter(outshines).collect();
         suns.sort_by(|&a, &b| groups.f[b].total_cmp(&groups.f[a]));
         suns.truncate(GROUP_LANES);
-        let mut glints = Self { count: suns.len(), mean_radiance, groups: suns, ..Self::default() };
+        let mut glints = Self { groups: suns, mean_radiance, ..Self::default() };
         for (i, &g) in glints.groups.iter().enumerate() {
             glints.spread2[i] = groups.spread2[g];
             for (k, flux) in flux(g).into_iter().enumerate() {
@@ -55,7 +54,7 @@ impl Glints {
     }
 
     pub(super) fn is_empty(&self) -> bool {
-        self.count == 0
+        self.groups.is_empty()
     }
 
     /// The groups of triangles that are suns.
@@ -78,8 +77,7 @@ impl Kernel for Show<'_> {
 
     #[inline(always)]
     fn run(self) -> Option<Glint> {
-        let Self { glints: Glints { count, axis: [x, y, z], spread2, flux, mean_radiance, .. }, point, lobe, view } =
-            self;
+        let Self { glints: Glints { groups, axis: [x, y, z], spread2, flux, mean_radiance }, point, lobe, view } = self;
         let &Point { ng, ns, wo, numbers, .. } = point;
         let blurred = Blurred::new(lobe, ns, wo);
         let (mut body, mut rim) = ([0.0; GROUP_LANES], [0.0; GROUP_LANES]);
@@ -104,7 +102,7 @@ impl Kernel for Show<'_> {
         // One of them stands for all: any that is shown, by what is shown of it.
         let mut left = all * random::unit(numbers.word(view, 0x6117));
         let mut chosen = 0;
-        for i in (0..*count).filter(|&i| weights[i] > 0.0) {
+        for i in (0..groups.len()).filter(|&i| weights[i] > 0.0) {
             chosen = i;
             left -= weights[i];
             if left < 0.0 {
@@ -112,7 +110,7 @@ impl Kernel for Show<'_> {
             }
         }
         let axis = |i: usize| Vec3::new(x[i], y[i], z[i]);
-        let mean = (0..*count).map(|i| axis(i) * weights[i]).sum::<Vec3>() / all;
+        let mean = (0..groups.len()).map(|i| axis(i) * weights[i]).sum::<Vec3>() / all;
         Some(Glint { dir: axis(chosen), radiance: each.iter().sum(), together: mean.length() })
     }
 }

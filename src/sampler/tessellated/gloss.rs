@@ -24,7 +24,7 @@ const BLUR: f32 = 0.25;
 const FLOOR: f32 = 0.1;
 
 /// Samples of a pixel share weights where what makes them differs by less than this share; angles, of the lobe's width.
-pub(super) const ALIKE: f32 = 0.25;
+const ALIKE: f32 = 0.25;
 
 /// Whose weights of a lobe were made last.
 #[derive(Debug, Clone, Copy, Default)]
