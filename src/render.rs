@@ -4,6 +4,7 @@
 
 mod flush;
 mod schedule;
+mod spots;
 mod tile;
 mod views;
 
@@ -17,6 +18,7 @@ use crate::scene::Scene;
 use crate::scene::camera::View;
 use rayon::prelude::*;
 use schedule::Pass;
+use spots::Spots;
 use std::io::{self, Read, Write};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::time::Instant;
@@ -200,6 +202,8 @@ impl Render<'_> {
         let passes = schedule::passes(&self.settings, sampler.learns());
         let each = schedule::replicate(&self.settings);
         let tiles = self.tiles(sampler.tile_multiple());
+        let suns = sampler.suns().to_vec();
+        let spots = Spots::new(self, &suns);
         let work: f64 = passes.iter().map(Pass::work).sum();
         let (past, ahead) = passes.split_at(passes.len().min(state.passes as usize));
         let mut done: f64 = past.iter().map(Pass::work).sum();
@@ -225,7 +229,7 @@ impl Render<'_> {
                 .into_par_iter()
                 .zip(&tiles)
                 .map_init(Scratch::default, |scratch, (mut film, tile)| {
-                    let counts = self.tile(&world, (pass, &state.views), *tile, &mut film, scratch);
+                    let counts = self.tile(&world, (pass, &state.views, &spots), *tile, &mut film, scratch);
                     let share = (finished.fetch_add(1, Relaxed) + 1) as f64 / tiles.len() as f64;
                     (watch.progress)((done + share * pass.work()) / work);
                     counts

@@ -1,6 +1,7 @@
 //! A film cut up, so that threads add to parts of it at once.
 
 use super::{Film, Pixel, Sample};
+use glam::Vec3;
 
 /// A rectangle of a film's pixels that samples are added to.
 #[derive(Debug)]
@@ -44,6 +45,15 @@ impl Film {
 }
 
 impl Part<'_> {
+    /// Adds light to a pixel beside that of its samples.
+    pub fn add_light(&mut self, [x, y]: [u32; 2], radiance: Vec3) {
+        let line = &mut self.lines[(y - self.offset[1]) as usize];
+        let pixel = &mut line.pixels[(x - self.offset[0]) as usize];
+        for (sum, value) in pixel.sum.iter_mut().zip(radiance.to_array()) {
+            *sum += f64::from(value);
+        }
+    }
+
     /// Adds a sample of some weight to a pixel, told by its place in the full image. The caller has dropped non-finite ones.
     pub fn add(&mut self, [x, y]: [u32; 2], sample: &Sample, weight: f32) {
         let Line { pixels, aovs } = &mut self.lines[(y - self.offset[1]) as usize];

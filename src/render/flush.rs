@@ -26,7 +26,10 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
         first += rays as usize;
     }
     let contributions = queue.contributions.resize(queue.rays.len(), 0);
-    counts.max_weight = counts.max_weight.max(dispatch(Arrive { contributions, occluded: &s.occluded }));
+    let most = dispatch(Arrive { contributions, occluded: &s.occluded });
+    if s.weights.is_empty() {
+        counts.max_weight = counts.max_weight.max(most);
+    }
     s.saved.extend(queue.saved());
     let [r, g, b] = queue.contributions.rows();
     let mut first = 0;
@@ -34,6 +37,10 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
         let of_sample = first..first + rays as usize;
         let arrived = [r, g, b].map(|row| row[of_sample.clone()].iter().sum::<f32>());
         let camera = camera(sample, &s.mirrored, &s.glints);
+        if let Some(weight) = s.weights.get(camera) {
+            let most = [r, g, b].into_iter().flat_map(|row| &row[of_sample.clone()]).fold(0.0, |a: f32, &b| a.max(b));
+            counts.max_weight = counts.max_weight.max(most * weight);
+        }
         let to = match sample & (MIRRORED | GLINT) {
             0 => &mut s.samples[camera].radiance,
             GLINT => &mut s.glints[(sample & !GLINT) as usize].1,

@@ -9,6 +9,7 @@
 
 use super::flush::flush;
 use super::schedule::{self, Looks, Pass};
+use super::spots::{AIMED, Spot, Spots};
 use super::views::{Choice, Seen, Views};
 use super::{Background, Counts, Render};
 use crate::accel::{Hit, Ray};
@@ -22,7 +23,8 @@ use crate::sampler::shadow_cache::NO_TARGET;
 use crate::sampler::{DomeSampler, Draws, Numbers};
 use crate::scene::{Surface, offset_origin};
 use crate::simd::{Kernel, dispatch};
-use glam::Vec3;
+use glam::{Vec2, Vec3};
+use std::ops::Range;
 
 /// Camera rays traced together.
 const CHUNK: usize = 1024;
@@ -47,7 +49,7 @@ impl Render<'_> {
     pub(super) fn tile(
         &self,
         world: &World<'_>,
-        (pass, seen): (&Pass, &Views),
+        (pass, seen, spots): (&Pass, &Views, &Spots<'_>),
         [x, y, width, height]: [u32; 4],
         film: &mut Part<'_>,
         s: &mut Scratch,
@@ -71,6 +73,7 @@ impl Render<'_> {
             let (_, pixel, of_pixel) = s.pixels[i];
             let (numbers, places) = (seed(of_pixel, pass.sequence, 1), seed(of_pixel, pass.replicate, 0));
             let Choice { views, deals } = self.choice(world.sampler, (pass, seen), pixel);
+            let (of_spots, first) = (spots.of(pixel), s.cameras.len());
             for sample in pass.first..pass.first + pass.count {
                 let numbers = Numbers { seed: numbers, sample };
                 // All samples' first camera rays have the beginning of the sequence, their second ones what follows: each
@@ -81,8 +84,34 @@ impl Render<'_> {
                 let deals = views > 1 && deals || noted;
                 for view in 0..views {
                     let place = each * view + at;
-                    s.cameras.push(CameraSample { pixel, place, places, numbers, view, views, deals, noted });
+                    let aimed = false;
+                    s.cameras.push(CameraSample { pixel, place, places, numbers, view, views, deals, noted, aimed });
                 }
+                for (spot, of_spot) in of_spots.iter().zip(1..) {
+                    let [places, numbers] = [(pass.replicate, 2 * of_spot), (pass.sequence, 2 * of_spot + 1)]
+                        .map(|(of, purpose)| seed(of_pixel, of, purpose));
+                    for i in 0..AIMED {
+                        let place = at * AIMED + i;
+                        if let Some(at) = spot.aim(random::sobol2(place, places).map(random::unit)) {
+                            let numbers = Numbers { seed: numbers, sample: sample * AIMED + i };
+                            s.aimed.push((s.cameras.len(), at));
+                            s.cameras.push(CameraSample {
+                                pixel,
+                                place,
+                                places,
+                                numbers,
+                                view: 0,
+                                views: 1,
+                                deals: false,
+                                noted: false,
+                                aimed: true,
+                            });
+                        }
+                    }
+                }
+            }
+            if !of_spots.is_empty() {
+                s.spotted.push(Spotted { cameras: first..s.cameras.len(), views, spots: of_spots.to_vec() });
             }
             if s.cameras.len() >= CHUNK {
                 self.chunk(world, (pass, seen), s, film, &mut counts);
@@ -110,6 +139,7 @@ impl Render<'_> {
         s.saved.clear();
         let gloss = self.scene.needs.gloss;
         dispatch(Places { cameras: &s.cameras, places: &mut s.places });
+        s.aim();
         for (&CameraSample { pixel: [x, y], .. }, &[u, v]) in s.cameras.iter().zip(&s.places) {
             let filter = self.settings.filter;
             s.rays.push(self.view.ray(x as f32 + 0.5 + filter.offset(u), y as f32 + 0.5 + filter.offset(v)));
@@ -216,15 +246,22 @@ impl Render<'_> {
             let others = (s.cameras[sample as usize].views - 1) as f32;
             s.samples[sample as usize].radiance -= others * glint;
         }
-        for (&CameraSample { pixel, numbers, views, .. }, value) in s.cameras.iter().zip(&s.samples) {
+        for (value, weight) in s.samples.iter_mut().zip(&s.weights) {
+            value.radiance *= *weight;
+        }
+        for (&CameraSample { pixel, numbers, views, aimed, .. }, value) in s.cameras.iter().zip(&s.samples) {
             if value.radiance.is_finite() {
-                film.add(pixel, value, pass.weight / views as f32);
+                match aimed {
+                    false => film.add(pixel, value, pass.weight / views as f32),
+                    true => film.add_light(pixel, pass.weight * value.radiance),
+                }
             } else {
                 counts.dropped += 1;
                 counts.dropped_at.get_or_insert([pixel[0], pixel[1], numbers.sample]);
             }
         }
         s.cameras.clear();
+        s.spotted.clear();
     }
 
     /// Shows `seen` what was expected, and what has become of it.
@@ -247,7 +284,10 @@ impl Render<'_> {
             s.lights[0] = light(shown + glint);
             let saved = saved.next_if(|saved| saved.0 as usize == first).map_or(0.0, |saved| saved.1);
             let (traced, saved) = (s.hits[first].is_hit(), noted.then_some(saved));
-            notes.take_in(pixel, Seen { expected: &s.lights, known, traced, dealt, saved });
+            // Beside samples that are aimed others weigh less the brighter they are.
+            if s.weights.get(first).is_none_or(|&weight| weight == 1.0) {
+                notes.take_in(pixel, Seen { expected: &s.lights, known, traced, dealt, saved });
+            }
             first += views as usize;
         }
     }
@@ -318,6 +358,8 @@ pub(super) struct CameraSample {
     /// Whether shadow rays are dealt out to them, and whether what that saves is noted.
     deals: bool,
     noted: bool,
+    /// Whether it is one more of its pixel, aimed at a spot.
+    aimed: bool,
 }
 
 impl CameraSample {
@@ -391,6 +433,39 @@ struct Waiting {
     mirrors: bool,
 }
 
+/// Camera samples of a pixel with spots.
+#[derive(Debug)]
+struct Spotted {
+    cameras: Range<usize>,
+    /// Camera rays of each sample that is spread evenly.
+    views: u32,
+    spots: Vec<Spot>,
+}
+
+impl Scratch {
+    /// Puts those that are aimed in their places, and weighs them and those that are spread evenly by the balance heuristic.
+    fn aim(&mut self) {
+        self.weights.clear();
+        if self.spotted.is_empty() {
+            return;
+        }
+        for (camera, at) in self.aimed.drain(..) {
+            self.places[camera] = at.into();
+        }
+        self.weights.resize(self.cameras.len(), 1.0);
+        for Spotted { cameras, views, spots } in &self.spotted {
+            for i in cameras.clone() {
+                let at = self.places[i].into();
+                let aimed = AIMED as f32 * spots.iter().map(|spot| spot.density(at)).sum::<f32>();
+                let views = *views as f32;
+                // One of those that are aimed is not divided by how many are not.
+                let one = if self.cameras[i].aimed { 1.0 } else { views };
+                self.weights[i] = one / (views + aimed);
+            }
+        }
+    }
+}
+
 /// A thread's memory, used again from tile to tile.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
@@ -398,6 +473,11 @@ pub(super) struct Scratch {
     pixels: Vec<(u32, [u32; 2], u32)>,
     pub(super) cameras: Vec<CameraSample>,
     places: Vec<[f32; 2]>,
+    /// Which of them are aimed at a spot, and where.
+    aimed: Vec<(usize, Vec2)>,
+    spotted: Vec<Spotted>,
+    /// What each camera ray counts; empty where no pixel has spots, and all count one.
+    pub(super) weights: Vec<f32>,
     rays: Vec<Ray>,
     hits: Vec<Hit>,
     /// What those of samples that deal met, as far as shadow rays may begin there.

@@ -188,6 +188,17 @@ pub struct Glint {
     pub together: f32,
 }
 
+/// Something small in the dome that outshines the rest.
+#[derive(Debug, Clone, Copy)]
+pub struct Sun {
+    /// Unit direction to its middle.
+    pub dir: Vec3,
+    /// Irradiance on a surface that faces it, in that of a steradian of the dome's mean radiance.
+    pub flux: f32,
+    /// The squared radius of a disc that spreads like it.
+    pub radius2: f32,
+}
+
 /// What a sampler has to say after a render.
 #[derive(Debug, Clone, Default, serde::Serialize)]
 pub struct SamplerStats {
@@ -270,6 +281,11 @@ pub trait DomeSampler: Debug + Send + Sync {
     /// and of random numbers that differ from camera ray to camera ray (`view`) of the sample.
     fn glint(&self, _point: &Point, _lobe: &Specular, _view: u32) -> Option<Glint> {
         None
+    }
+
+    /// What [`Self::glint`] knows, one by one.
+    fn suns(&self) -> &[Sun] {
+        &[]
     }
 
     /// Whether later stages profit from what earlier ones saw.

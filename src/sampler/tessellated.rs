@@ -45,7 +45,7 @@ use super::preconvolution::Preconvolution;
 use super::shadow_cache::ShadowCache;
 use super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
 use super::{
-    DomeSampler, Draws, Expectation, Glint, Glossy, MakeSampler, Point, Prepared, SamplerStats, Setup, TOGETHER,
+    DomeSampler, Draws, Expectation, Glint, Glossy, MakeSampler, Point, Prepared, SamplerStats, Setup, Sun, TOGETHER,
 };
 use crate::bsdf::Specular;
 use crate::dome::Dome;
@@ -394,6 +394,10 @@ impl DomeSampler for Tessellated {
             return None;
         }
         dispatch(Show { glints: &self.glints, point, lobe, view })
+    }
+
+    fn suns(&self) -> &[Sun] {
+        self.glints.suns()
     }
 
     fn place(&self, pixel: [u32; 2], seed: u32) -> u32 {

@@ -170,10 +170,7 @@ impl Scene {
     pub fn look(&self, ray: &Ray, hit: &Hit) -> Surface {
         let t = self.hit_triangle(hit);
         let m = t.material;
-        let wo = -ray.dir.normalize_or(Vec3::NEG_Z);
-        let front = t.front().unwrap_or(wo);
-        let ng = if front.dot(wo) < 0.0 { -front } else { front };
-        let ns = if m.unlit { ng } else { self.shading_normal(&t, ng, wo) };
+        let [ng, ns] = self.normals_of(&t, ray);
 
         let mut base = m.base_color.truncate();
         if !t.mesh.colors.is_empty() {
@@ -215,6 +212,19 @@ impl Scene {
             emission,
             unlit: m.unlit,
         }
+    }
+
+    /// Which way a hit faces, and that alone: the geometric and the shading normal of [`Self::look`].
+    pub fn normals(&self, ray: &Ray, hit: &Hit) -> [Vec3; 2] {
+        self.normals_of(&self.hit_triangle(hit), ray)
+    }
+
+    #[inline]
+    fn normals_of(&self, t: &Triangle<'_>, ray: &Ray) -> [Vec3; 2] {
+        let wo = -ray.dir.normalize_or(Vec3::NEG_Z);
+        let front = t.front().unwrap_or(wo);
+        let ng = if front.dot(wo) < 0.0 { -front } else { front };
+        [ng, if t.material.unlit { ng } else { self.shading_normal(t, ng, wo) }]
     }
 
     /// The part of the light that stops at `hit`: alpha in [0, 1], 0 or 1 for masked materials, 1 for opaque ones.

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod accelerators;
+mod camera_rays;
 mod closed_forms;
 mod looks;
 mod replicates;

@@ -1,34 +1,21 @@
 //! The shadow cache may cost variance, never bias, whatever it holds: renders with a cold, a warm, a stale, an all-zero,
 //! an all-one and a random cache against brute force, pixel by pixel. And an image does not depend on threads or tiles.
-use crate::support::render::{BESIDE, Shot, cuboid, pixels, scene, sheet, square, white};
-use crate::support::samplers::{dome, sampler, unit};
-use domelight::accel::{self, Accel, Coherence, Hit, Mask};
+use crate::support::pictures::{
+    BRUTE_FORCE, CACHE, Pictures, SEEDS, SIDE, Stage, assert_same, occluders, soft, summarise, sun, take,
+};
+use crate::support::render::{Shot, cuboid, pixels, white};
+use crate::support::samplers::{sampler, unit};
+use domelight::accel::{Coherence, Hit, Mask};
 use domelight::bsdf::Bsdf;
 use domelight::dome::Dome;
-use domelight::metrics::ztest::{Estimate, z_test};
+use domelight::metrics::ztest::z_test;
 use domelight::random;
 use domelight::registry::resolve;
 use domelight::sampler::{DomeSampler, Draws, Numbers, Point, SAMPLERS, Setup};
-use domelight::scene::{Camera, CameraChoice, Material, Mesh, Scene};
-use glam::{DVec3, Vec3, Vec4};
+use domelight::scene::{Material, Mesh};
+use glam::{Vec3, Vec4};
 use rayon::prelude::*;
-use std::f64::consts::{PI, TAU};
 use std::sync::{Arc, LazyLock};
-
-const SIDE: u32 = 32;
-const SEEDS: u32 = 64;
-const CACHE: &str = "tessellated:cache-block=4,groups=128,triangles=1024";
-
-/// A floor under slats beside a block.
-fn occluders() -> Vec<(Mesh, Material)> {
-    let mut parts = vec![(square(Vec3::ZERO, Vec3::Y, 4.0), white())];
-    parts.push((cuboid(Vec3::new(-0.9, 0.0, -0.5), Vec3::new(-0.3, 0.9, 0.2)), white()));
-    for i in 0..5 {
-        let z = 0.3 * i as f32 - 0.4;
-        parts.push((cuboid(Vec3::new(0.2, 0.8, z), Vec3::new(1.4, 0.9, z + 0.12)), white()));
-    }
-    parts
-}
 
 /// The same of brass and of plastic.
 fn polished() -> Vec<(Mesh, Material)> {
@@ -42,123 +29,11 @@ fn polished() -> Vec<(Mesh, Material)> {
     parts
 }
 
-/// A sun of a texel in an uneven sky.
-fn sun() -> Arc<Dome> {
-    let sky = |x: u32, y: u32| [0.4, 0.5, 0.7].map(|c| (c * (0.5 + unit(&[x, y]))) as f32);
-    dome(64, 32, |x, y| if (x, y) == (20, 7) { [900.0, 800.0, 600.0] } else { sky(x, y) })
-}
-
-/// A sky without a sun, soft enough for uniform directions.
-fn soft() -> Arc<Dome> {
-    dome(64, 32, |x, y| [1.0 + (x as f32 * 0.1).sin(), 1.0, if y < 16 { 1.5 } else { 0.2 }])
-}
-
-/// Something to render: a scene, its structure, its camera.
-struct Stage {
-    scene: Arc<Scene>,
-    accel: Box<dyn Accel>,
-    camera: Camera,
-}
-
-impl Stage {
-    fn new(parts: Vec<(Mesh, Material)>) -> Self {
-        let scene = scene(parts);
-        let accel = accel::build("bvh", &scene, 2).unwrap();
-        let eye = Vec3::new(0.6, 2.0, 3.2);
-        let camera = CameraChoice::LookAt { eye, target: Vec3::new(0.2, 0.3, 0.0), fov: 40.0 };
-        let camera = camera.resolve(&scene, 1.0).unwrap();
-        Self { scene, accel, camera }
-    }
-    fn shot<'a>(&'a self, dome: &'a Arc<Dome>, spp: u32, rays: u32) -> Shot<'a> {
-        Shot {
-            scene: &self.scene,
-            dome,
-            camera: &self.camera,
-            accel: self.accel.as_ref(),
-            side: SIDE,
-            spp,
-            rays,
-            camera_rays: BESIDE,
-            tile: 32,
-        }
-    }
-}
-
-/// Means and variances of the means over independent pictures.
-struct Pictures {
-    mean: Vec<Vec3>,
-    variance: Vec<Vec3>,
-    /// The whole picture's mean and its standard error.
-    whole: (f64, f64),
-}
-
-impl Pictures {
-    fn estimate(&self) -> Estimate<'_> {
-        Estimate { mean: &self.mean, variance: &self.variance, freedom: f64::from(SEEDS - 1) }
-    }
-}
-
-fn summarise(pictures: &[Vec<Vec3>]) -> Pictures {
-    let count = pictures.len() as f64;
-    let at = |i: usize| pictures.iter().map(move |p| p[i].as_dvec3());
-    let means: Vec<DVec3> = (0..pictures[0].len()).map(|i| at(i).sum::<DVec3>() / count).collect();
-    let variance = |(i, mean): (usize, &DVec3)| {
-        let square: DVec3 = at(i).map(|v| (v - *mean) * (v - *mean)).sum();
-        (square / (count * (count - 1.0))).as_vec3()
-    };
-    let variance = means.iter().enumerate().map(variance).collect();
-    let wholes: Vec<f64> = pictures.iter().map(|p| p.iter().map(|v| f64::from(v.element_sum())).sum::<f64>()).collect();
-    let whole = wholes.iter().sum::<f64>() / count;
-    let spread = wholes.iter().map(|w| (w - whole).powi(2)).sum::<f64>();
-    let whole = (whole, (spread / (count * (count - 1.0))).sqrt());
-    Pictures { mean: means.iter().map(|mean| mean.as_vec3()).collect(), variance, whole }
-}
-
-/// Pictures of one seed each. A sampler, dear to make, takes eight of them and is led astray before each; what it has
-/// seen before reaches a picture through the cache alone, so that pictures stay uncorrelated.
-fn take(
-    shot: &Shot<'_>,
-    first: u32,
-    make: impl Fn() -> Box<dyn DomeSampler> + Sync,
-    mislead: impl Fn(&mut dyn DomeSampler, u32) + Sync,
-) -> Pictures {
-    let several = |batch: u32| {
-        let mut sampler = make();
-        let picture = |seed| {
-            mislead(sampler.as_mut(), seed);
-            pixels(&shot.take(sampler.as_mut(), seed))
-        };
-        (first + 8 * batch..first + 8 * batch + 8).map(picture).collect::<Vec<_>>()
-    };
-    summarise(&(0..SEEDS / 8).into_par_iter().flat_map(several).collect::<Vec<_>>())
-}
-
-/// Sun and slats by a sampler that has nothing in common with the one under test.
-static BRUTE_FORCE: LazyLock<Pictures> = LazyLock::new(|| {
-    let dome = sun();
-    take(&Stage::new(occluders()).shot(&dome, 16, 32), 1000, || sampler("latlong", &dome, 32), |_, _| ())
-});
-
 /// The same sun on what is polished.
 static BRUTE_FORCE_POLISHED: LazyLock<Pictures> = LazyLock::new(|| {
     let dome = sun();
     take(&Stage::new(polished()).shot(&dome, 16, 32), 1000, || sampler("latlong", &dome, 32), |_, _| ())
 });
-
-fn assert_same(what: &str, pictures: &Pictures, reference: &Pictures) {
-    // Variances are of sixty-four pictures: Student's tails are heavier, 0.001 of the normal's is 0.005 of theirs.
-    let test = z_test(pictures.estimate(), reference.estimate(), 0.001);
-    assert!(test.passes(), "{what}: {test:?}");
-    // z² has a mean of about 1, whatever the cache holds; less where pixels agree to rounding.
-    assert!((0.7..1.1).contains(&test.spread), "{what}: {test:?}");
-    let ((a, e), (b, f)) = (pictures.whole, reference.whole);
-    assert!(
-        (a - b).abs() <= 4.0 * e.hypot(f),
-        "{what}: the whole picture is {} ± {} of what it should be",
-        a / b,
-        e.hypot(f) / b
-    );
-}
 
 /// With the sun, `spp` samples and a cache that `mislead` has filled.
 fn assert_unbiased(what: &str, spp: u32, mislead: impl Fn(&mut dyn DomeSampler, &Arc<Dome>, u32) + Sync) {
@@ -185,101 +60,6 @@ fn a_fresh_cache_while_it_learns() {
     let picture = |seed| pixels(&shot.take(sampler(CACHE, &dome, 8).as_mut(), seed));
     let pictures = summarise(&(0..SEEDS).into_par_iter().map(picture).collect::<Vec<_>>());
     assert_same("four samples", &pictures, &BRUTE_FORCE);
-}
-
-/// Regions of the image have as many camera rays as their first samples ask for.
-#[test]
-fn camera_rays_by_what_was_seen() {
-    let (stage, dome) = (Stage::new(occluders()), sun());
-    let shot = Shot { camera_rays: None, ..stage.shot(&dome, 20, 8) };
-    let pictures = take(&shot, 0, || sampler(CACHE, &dome, 8), |_, _| ());
-    assert_same("as many as pay", &pictures, &BRUTE_FORCE);
-}
-
-/// A polished floor and a mirror show the same, whichever camera rays their reflections are dealt out to: seven share two
-/// rays of the floor's and eight of the mirror's.
-#[test]
-fn mirrors_by_all_camera_rays() {
-    let mut parts = occluders();
-    parts[0].1 = Material { metallic: 0.0, roughness: 0.0, ..Material::default() };
-    parts[1].1 = Material { metallic: 1.0, roughness: 0.04, ..Material::default() };
-    assert_unbiased_by_all_camera_rays(parts, &soft(), 4, 7);
-}
-
-/// With so many samples, of so many camera rays and of as many as pay.
-fn assert_unbiased_by_all_camera_rays(parts: Vec<(Mesh, Material)>, dome: &Arc<Dome>, spp: u32, camera_rays: u32) {
-    let stage = Stage::new(parts);
-    let reference = take(&stage.shot(dome, 16, 32), 1000, || sampler("latlong", dome, 32), |_, _| ());
-    for camera_rays in [Some(camera_rays), None] {
-        let shot = Shot { camera_rays, ..stage.shot(dome, spp, 8) };
-        let pictures = take(&shot, 0, || sampler(CACHE, dome, 8), |_, _| ());
-        assert_same(&format!("{camera_rays:?} camera rays"), &pictures, &reference);
-    }
-}
-
-fn ball() -> Mesh {
-    sheet(64, 32, |u, v| {
-        let ((sin, cos), (ring, up)) = ((TAU * u).sin_cos(), (PI * v).sin_cos());
-        Vec3::new(0.2, 0.3, 0.0) + 0.8 * DVec3::new(ring * cos, up, ring * sin).as_vec3()
-    })
-}
-
-/// A pixel's camera rays look at many a normal and at many a light's edge: rays drawn for one begin at others, though not
-/// where another density holds.
-#[test]
-fn curved_things_by_all_camera_rays() {
-    let mut parts = occluders();
-    parts.push((ball(), white()));
-    assert_unbiased_by_all_camera_rays(parts, &sun(), 20, 4);
-}
-
-/// The variance of a ball by one camera ray for each sample, and by eight.
-fn ball_by_one_and_eight(material: Material, dome: &Arc<Dome>) -> [f64; 2] {
-    let stage = Stage::new(vec![(ball(), material)]);
-    [1, 8].map(|views| {
-        let shot = Shot { camera_rays: Some(views), ..stage.shot(dome, 4, 8) };
-        let pictures = take(&shot, 0, || sampler(CACHE, dome, 8), |_, _| ());
-        pictures.variance.iter().map(|v| f64::from(v.element_sum())).sum::<f64>()
-    })
-}
-
-/// Where in the pixel it looks is all that a camera ray to a curved mirror errs by.
-#[test]
-fn a_curved_mirror_is_seen_by_all_camera_rays() {
-    let mirror = Material { metallic: 1.0, roughness: 0.0, ..Material::default() };
-    let [one, eight] = ball_by_one_and_eight(mirror, &sun());
-    assert!(eight < 0.25 * one, "variances {one} and {eight}");
-}
-
-/// What metal shows of a sky without a sun is expected of all of them. (Were nothing, all would leave what one does.)
-#[test]
-fn the_edge_of_metal_is_seen_by_all_camera_rays() {
-    for roughness in [0.2, 0.3, 0.5] {
-        let [one, eight] = ball_by_one_and_eight(Material { roughness, ..brass() }, &soft());
-        assert!(eight < 0.35 * one, "roughness {roughness}: variances {one} and {eight}");
-    }
-}
-
-fn brass() -> Material {
-    Material { metallic: 1.0, roughness: 0.3, base_color: Vec4::new(0.9, 0.7, 0.3, 1.0), ..Material::default() }
-}
-
-/// The sun glints on a ball and on a floor between what throws shadows on them: each camera ray asks whether it arrives.
-#[test]
-fn glints_by_all_camera_rays() {
-    let mut parts = occluders();
-    parts[0].1 = brass();
-    parts.push((ball(), Material { roughness: 0.7, ..brass() }));
-    assert_unbiased_by_all_camera_rays(parts, &sun(), 20, 4);
-}
-
-/// Where in the pixel it looks is nearly all that a camera ray to a glint errs by.
-#[test]
-fn a_glint_is_seen_by_all_camera_rays() {
-    for roughness in [0.3, 0.7] {
-        let [one, eight] = ball_by_one_and_eight(Material { roughness, ..brass() }, &sun());
-        assert!(eight < 0.5 * one, "roughness {roughness}: variances {one} and {eight}");
-    }
 }
 
 #[test]

@@ -8,7 +8,7 @@ use crate::bsdf::Specular;
 use crate::dome::Dome;
 use crate::random;
 use crate::sampler::preconvolution::{GROUP_LANES, Preconvolution};
-use crate::sampler::{Glint, Point};
+use crate::sampler::{Glint, Point, Sun};
 use crate::simd::Kernel;
 use glam::Vec3;
 use std::f32::consts::PI;
@@ -30,6 +30,7 @@ pub(super) struct Glints {
     flux: [[f32; GROUP_LANES]; 3],
     /// Of the dome, W·m⁻²·sr⁻¹.
     mean_radiance: f32,
+    suns: Vec<Sun>,
 }
 
 impl Glints {
@@ -50,11 +51,21 @@ impl Glints {
                 (glints.axis[k][i], glints.flux[k][i]) = (groups.axis[k][g], flux);
             }
         }
+        let sun = |&g: &usize| Sun {
+            dir: Vec3::from(groups.axis.each_ref().map(|row| row[g])),
+            flux: Dome::weight(flux(g)) / mean_radiance,
+            radius2: groups.spread2[g],
+        };
+        glints.suns = glints.groups.iter().map(sun).collect();
         glints
     }
 
     pub(super) fn is_empty(&self) -> bool {
         self.groups.is_empty()
+    }
+
+    pub(super) fn suns(&self) -> &[Sun] {
+        &self.suns
     }
 
     /// The groups of triangles that are suns.
@@ -77,7 +88,8 @@ impl Kernel for Show<'_> {
 
     #[inline(always)]
     fn run(self) -> Option<Glint> {
-        let Self { glints: Glints { groups, axis: [x, y, z], spread2, flux, mean_radiance }, point, lobe, view } = self;
+        let Self { glints: Glints { groups, axis: [x, y, z], spread2, flux, mean_radiance, .. }, point, lobe, view } =
+            self;
         let &Point { ng, ns, wo, numbers, .. } = point;
         let blurred = Blurred::new(lobe, ns, wo);
         let (mut body, mut rim) = ([0.0; GROUP_LANES], [0.0; GROUP_LANES]);

@@ -1,0 +1,148 @@
+//! Camera rays beside those that are shaded, and those that are aimed at what glints, move no mean; and they take noise away.
+
+use crate::support::pictures::{BRUTE_FORCE, CACHE, Stage, assert_same, occluders, soft, sun, take};
+use crate::support::render::{Shot, sheet, white};
+use crate::support::samplers::sampler;
+use domelight::dome::Dome;
+use domelight::scene::{Material, Mesh};
+use glam::{DVec3, Vec3, Vec4};
+use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
+
+/// Regions of the image have as many camera rays as their first samples ask for.
+#[test]
+fn as_many_as_pay() {
+    let (stage, dome) = (Stage::new(occluders()), sun());
+    let shot = Shot { camera_rays: None, ..stage.shot(&dome, 20, 8) };
+    let pictures = take(&shot, 0, || sampler(CACHE, &dome, 8), |_, _| ());
+    assert_same("as many as pay", &pictures, &BRUTE_FORCE);
+}
+
+/// The middle of it.
+const BALL: Vec3 = Vec3::new(0.2, 0.3, 0.0);
+
+fn ball() -> Mesh {
+    sheet(64, 32, |u, v| {
+        let ((sin, cos), (ring, up)) = ((TAU * u).sin_cos(), (PI * v).sin_cos());
+        BALL + 0.8 * DVec3::new(ring * cos, up, ring * sin).as_vec3()
+    })
+}
+
+/// A polished floor and a mirror show the same, whichever camera rays their reflections are dealt out to: seven share two
+/// rays of the floor's and eight of the mirror's.
+#[test]
+fn mirrors_by_all_camera_rays() {
+    let mut parts = occluders();
+    parts[0].1 = Material { metallic: 0.0, roughness: 0.0, ..Material::default() };
+    parts[1].1 = Material { metallic: 1.0, roughness: 0.04, ..Material::default() };
+    assert_unbiased_by_all_camera_rays(parts, &soft(), 4, 7);
+}
+
+/// With so many samples, of so many camera rays and of as many as pay.
+fn assert_unbiased_by_all_camera_rays(parts: Vec<(Mesh, Material)>, dome: &Arc<Dome>, spp: u32, camera_rays: u32) {
+    let stage = Stage::new(parts);
+    let reference = take(&stage.shot(dome, 16, 32), 1000, || sampler("latlong", dome, 32), |_, _| ());
+    for camera_rays in [Some(camera_rays), None] {
+        let shot = Shot { camera_rays, ..stage.shot(dome, spp, 8) };
+        let pictures = take(&shot, 0, || sampler(CACHE, dome, 8), |_, _| ());
+        assert_same(&format!("{camera_rays:?} camera rays"), &pictures, &reference);
+    }
+}
+
+/// A pixel's camera rays look at many a normal and at many a light's edge: rays drawn for one begin at others, though not
+/// where another density holds.
+#[test]
+fn curved_things_by_all_camera_rays() {
+    let mut parts = occluders();
+    parts.push((ball(), white()));
+    assert_unbiased_by_all_camera_rays(parts, &sun(), 20, 4);
+}
+
+/// The variance of a ball by one camera ray for each sample, and by eight.
+fn ball_by_one_and_eight(material: Material, dome: &Arc<Dome>) -> [f64; 2] {
+    let stage = Stage::new(vec![(ball(), material)]);
+    [1, 8].map(|views| {
+        let shot = Shot { camera_rays: Some(views), ..stage.shot(dome, 4, 8) };
+        let pictures = take(&shot, 0, || sampler(CACHE, dome, 8), |_, _| ());
+        pictures.variance.iter().map(|v| f64::from(v.element_sum())).sum::<f64>()
+    })
+}
+
+/// Where in the pixel it looks is all that a camera ray to a curved mirror errs by.
+#[test]
+fn a_curved_mirror_is_seen_by_all_camera_rays() {
+    let mirror = Material { metallic: 1.0, roughness: 0.0, ..Material::default() };
+    let [one, eight] = ball_by_one_and_eight(mirror, &sun());
+    assert!(eight < 0.25 * one, "variances {one} and {eight}");
+}
+
+/// What metal shows of a sky without a sun is expected of all of them. (Were nothing, all would leave what one does.)
+#[test]
+fn the_edge_of_metal_is_seen_by_all_camera_rays() {
+    for roughness in [0.2, 0.3, 0.5] {
+        let [one, eight] = ball_by_one_and_eight(Material { roughness, ..brass() }, &soft());
+        assert!(eight < 0.35 * one, "roughness {roughness}: variances {one} and {eight}");
+    }
+}
+
+fn brass() -> Material {
+    Material { metallic: 1.0, roughness: 0.3, base_color: Vec4::new(0.9, 0.7, 0.3, 1.0), ..Material::default() }
+}
+
+/// The sun glints on a ball and on a floor between what throws shadows on them: each camera ray asks whether it arrives.
+#[test]
+fn glints_by_all_camera_rays() {
+    let mut parts = occluders();
+    parts[0].1 = brass();
+    parts.push((ball(), Material { roughness: 0.7, ..brass() }));
+    assert_unbiased_by_all_camera_rays(parts, &sun(), 20, 4);
+}
+
+/// Where in the pixel it looks is nearly all that a camera ray to a glint errs by.
+#[test]
+fn a_glint_is_seen_by_all_camera_rays() {
+    for roughness in [0.3, 0.7] {
+        let [one, eight] = ball_by_one_and_eight(Material { roughness, ..brass() }, &sun());
+        assert!(eight < 0.5 * one, "roughness {roughness}: variances {one} and {eight}");
+    }
+}
+
+/// Smooth ones on the floor and in the shadow of slats, so small that they show the sun in a spot of a pixel.
+fn balls(materials: [Material; 4]) -> Vec<(Mesh, Material)> {
+    let mut parts = occluders();
+    let places = [(-0.6, 1.1, 0.2), (0.1, 0.3, 0.3), (0.7, 0.3, 0.25), (1.2, 0.3, 0.15)];
+    parts.extend(materials.into_iter().zip(places).map(|(material, (x, y, radius))| {
+        let middle = Vec3::new(x, y, 0.2);
+        let mut ball = ball();
+        for place in &mut ball.positions {
+            let normal = (*place - BALL) / 0.8;
+            ball.normals.push(normal);
+            *place = middle + radius * normal;
+        }
+        (ball, material)
+    }));
+    parts
+}
+
+/// Samples are aimed at the sun in brass and varnish beside those that are spread evenly.
+#[test]
+fn the_sun_in_small_balls() {
+    let varnish =
+        Material { roughness: 0.15, base_color: Vec4::new(0.2, 0.1, 0.6, 1.0), metallic: 0.0, ..Material::default() };
+    let brass = |roughness| Material { roughness, ..brass() };
+    assert_unbiased_by_all_camera_rays(balls([brass(0.1), varnish, brass(0.25), brass(0.04)]), &sun(), 20, 4);
+}
+
+/// Samples that are spread evenly meet it or not: that is nearly all they err by.
+#[test]
+fn the_sun_in_small_balls_is_aimed_at() {
+    let polished = Material { roughness: 0.05, ..brass() };
+    let (stage, dome) = (Stage::new(balls(std::array::from_fn(|_| polished.clone()))), sun());
+    let shot = Shot { camera_rays: None, ..stage.shot(&dome, 4, 8) };
+    let [evenly, aimed] = ["latlong:mode=mis", CACHE].map(|spec| {
+        let pictures = take(&shot, 0, || sampler(spec, &dome, 8), |_, _| ());
+        pictures.variance.iter().map(|v| f64::from(v.element_sum())).sum::<f64>()
+    });
+    println!("{evenly} {aimed}");
+    assert!(aimed < 0.1 * evenly, "variances {aimed} and {evenly}");
+}
