@@ -1,12 +1,11 @@
 //! Camera rays beside those that are shaded, and those that are aimed at what glints, move no mean; and they take noise away.
 
 use crate::support::pictures::{BRUTE_FORCE, CACHE, Stage, assert_same, occluders, soft, sun, take};
-use crate::support::render::{Shot, sheet, white};
-use crate::support::samplers::sampler;
+use crate::support::render::{Shot, direction, microscope, sheet, sphere, white};
+use crate::support::samplers::{dome, sampler};
 use domelight::dome::Dome;
-use domelight::scene::{Material, Mesh};
-use glam::{DVec3, Vec3, Vec4};
-use std::f64::consts::{PI, TAU};
+use domelight::scene::{Material, Mesh, Projection};
+use glam::{Vec3, Vec4};
 use std::sync::Arc;
 
 /// Regions of the image have as many camera rays as their first samples ask for.
@@ -18,14 +17,9 @@ fn as_many_as_pay() {
     assert_same("as many as pay", &pictures, &BRUTE_FORCE);
 }
 
-/// The middle of it.
-const BALL: Vec3 = Vec3::new(0.2, 0.3, 0.0);
-
+/// A large one with facets.
 fn ball() -> Mesh {
-    sheet(64, 32, |u, v| {
-        let ((sin, cos), (ring, up)) = ((TAU * u).sin_cos(), (PI * v).sin_cos());
-        BALL + 0.8 * DVec3::new(ring * cos, up, ring * sin).as_vec3()
-    })
+    sheet(64, 32, |u, v| Vec3::new(0.2, 0.3, 0.0) + 0.8 * direction(u, v))
 }
 
 /// A polished floor and a mirror show the same, whichever camera rays their reflections are dealt out to: seven share two
@@ -107,20 +101,16 @@ fn a_glint_is_seen_by_all_camera_rays() {
     }
 }
 
-/// Smooth ones on the floor and in the shadow of slats, so small that they show the sun in a spot of a pixel.
+/// Balls on the floor and in the shadow of slats, so small that they show the sun in a spot of a pixel.
 fn balls(materials: [Material; 4]) -> Vec<(Mesh, Material)> {
     let mut parts = occluders();
     let places = [(-0.6, 1.1, 0.2), (0.1, 0.3, 0.3), (0.7, 0.3, 0.25), (1.2, 0.3, 0.15)];
-    parts.extend(materials.into_iter().zip(places).map(|(material, (x, y, radius))| {
-        let middle = Vec3::new(x, y, 0.2);
-        let mut ball = ball();
-        for place in &mut ball.positions {
-            let normal = (*place - BALL) / 0.8;
-            ball.normals.push(normal);
-            *place = middle + radius * normal;
-        }
-        (ball, material)
-    }));
+    parts.extend(
+        materials
+            .into_iter()
+            .zip(places)
+            .map(|(material, (x, y, radius))| (sphere(Vec3::new(x, y, 0.2), radius), material)),
+    );
     parts
 }
 
@@ -145,4 +135,32 @@ fn the_sun_in_small_balls_is_aimed_at() {
     });
     println!("{evenly} {aimed}");
     assert!(aimed < 0.1 * evenly, "variances {aimed} and {evenly}");
+}
+
+/// A ball that mirrors everything scatters parallel light evenly to all sides: of an irradiance E, r² E/4 of intensity.
+#[test]
+fn a_small_mirror_ball_scatters_the_sun_evenly() {
+    let (side, half, radius) = (16, 2.0, 0.5);
+    let sun @ [x, y] = [70, 40];
+    let dome = dome(256, 128, |x, y| if [x, y] == sun { [1e4; 3] } else { [0.0; 3] });
+    let exact = 1e4 * dome.grid.solid_angle(y) * f64::from(radius * radius) / 4.0;
+    let towards = dome.grid.direction(f64::from(x) + 0.5, f64::from(y) + 0.5);
+    let aside = towards.any_orthonormal_vector();
+    for (degrees, roughness) in [(20.0f32, 0.02), (70.0, 0.02), (40.0, 0.1), (90.0, 0.1)] {
+        let white = Material { metallic: 1.0, roughness, base_color: Vec4::ONE, ..Material::default() };
+        let ball = sphere(Vec3::ZERO, radius);
+        let angle = degrees.to_radians();
+        let mut camera = microscope(Vec3::ZERO, towards * angle.cos() + aside * angle.sin(), 4.0);
+        camera.projection = Projection::Orthographic { ymag: half };
+        let stage = Stage { camera, ..Stage::new(vec![(ball, white)]) };
+        let shot = Shot { side, camera_rays: None, ..stage.shot(&dome, 32, 4) };
+        let pictures = take(&shot, 0, || sampler(CACHE, &dome, 4), |_, _| ());
+        let (whole, error) = pictures.whole;
+        // Three channels.
+        let area = f64::from(2.0 * half / side as f32).powi(2) / 3.0;
+        let (intensity, error) = (whole * area / exact, error * area / exact);
+        println!("{degrees}°, roughness {roughness}: {intensity:.4} ± {error:.4}");
+        assert!(error < 1e-2, "{degrees}°, roughness {roughness}: the standard error {error} says nothing");
+        assert!((intensity - 1.0).abs() < 4.0 * error + 2e-3, "{degrees}°, {roughness}: {intensity} ± {error}");
+    }
 }

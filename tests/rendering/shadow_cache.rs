@@ -3,7 +3,7 @@
 use crate::support::pictures::{
     BRUTE_FORCE, CACHE, Pictures, SEEDS, SIDE, Stage, assert_same, occluders, soft, summarise, sun, take,
 };
-use crate::support::render::{Shot, cuboid, pixels, white};
+use crate::support::render::{Shot, cuboid, pixels, sphere, white};
 use crate::support::samplers::{sampler, unit};
 use domelight::accel::{Coherence, Hit, Mask};
 use domelight::bsdf::Bsdf;
@@ -249,5 +249,8 @@ fn nor_does_that_of_glossy_things() {
     parts[1].1 = Material { metallic: 1.0, roughness: 0.0, ..Material::default() };
     parts[2].1 =
         Material { metallic: 0.0, roughness: 0.4, base_color: Vec4::new(0.8, 0.2, 0.1, 1.0), ..Material::default() };
+    // Samples are aimed at the sun that these show.
+    let brass = Material { metallic: 1.0, roughness: 0.1, ..Material::default() };
+    parts.extend([0.0, 0.6, 1.2].map(|x| (sphere(Vec3::new(x, 1.2, 0.4), 0.15), brass.clone())));
     assert_same_films(parts, 7);
 }

@@ -40,6 +40,9 @@ const LARGEST: f32 = 0.2;
 /// What a spot is worth at least, in the square of the dome's mean radiance.
 const NOTABLE: f32 = 0.1;
 
+/// How far from its middle a spot reaches, in ρ².
+const REACH2: f32 = 9.0;
+
 /// Spots of a pixel at most.
 const MOST: usize = 4;
 
@@ -179,7 +182,7 @@ impl<'a> Search<'a> {
     /// One step of each; those that lead on.
     fn go_on(&mut self, tries: &[Try<'a>], found: &mut Vec<(Spot, Ray)>) -> Vec<Try<'a>> {
         let places = |t: &Try<'_>| {
-            let place = (t.pixel, t.at.clamp(Vec2::ZERO, Vec2::splat(1.0 - f32::EPSILON)));
+            let place = (t.pixel, t.at);
             let [right, down] = beside(place);
             [place, right, down]
         };
@@ -272,12 +275,10 @@ impl Step {
         // Cholesky's factor, turned over.
         let to_rho = Mat2::from_cols_array(&[a.sqrt(), 0.0, b / a.sqrt(), (c - b * b / a).sqrt()]);
         let is_sound = to_rho.is_finite() && to_rho.determinant() > 0.0;
-        (is_sound && area < LARGEST && worth > NOTABLE && is_within(self.to, 0.0)).then_some(Spot {
-            pixel,
-            middle: self.to,
-            to_rho,
-            worth,
-        })
+        let spot = Spot { pixel, middle: self.to, to_rho, worth };
+        // What lies beside the pixel may reach into it.
+        let reaches = spot.rho2(self.to.clamp(Vec2::ZERO, Vec2::ONE)) < REACH2;
+        (is_sound && reaches && area < LARGEST && worth > NOTABLE).then_some(spot)
     }
 }
 

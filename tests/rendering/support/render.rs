@@ -8,7 +8,8 @@ use domelight::registry::resolve;
 use domelight::render::{Background, Picture, Render, Settings, Watch};
 use domelight::sampler::DomeSampler;
 use domelight::scene::{Camera, Instance, Material, Mesh, Projection, Scene, View};
-use glam::{Affine3A, Mat3A, Vec3, Vec4};
+use glam::{Affine3A, DVec3, Mat3A, Vec3, Vec4};
+use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -50,6 +51,20 @@ pub(crate) fn sheet(columns: u32, rows: u32, place: impl Fn(f64, f64) -> Vec3) -
         }
     }
     mesh
+}
+
+/// All around, by two numbers in [0, 1].
+pub(crate) fn direction(u: f64, v: f64) -> Vec3 {
+    let ((sin, cos), (ring, up)) = ((TAU * u).sin_cos(), (PI * v).sin_cos());
+    DVec3::new(ring * cos, up, ring * sin).as_vec3()
+}
+
+/// A smooth ball.
+pub(crate) fn sphere(middle: Vec3, radius: f32) -> Mesh {
+    let mut sphere = sheet(256, 128, direction);
+    sphere.normals = sphere.positions.clone();
+    sphere.positions.iter_mut().for_each(|place| *place = middle + radius * *place);
+    sphere
 }
 
 /// Meshes in world space, each with its material.
