@@ -126,9 +126,9 @@ pub struct AovSample {
 #[derive(Debug, Clone, Copy, Default, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct Pixel {
-    /// Σ (R, G, B, A) of the camera samples.
+    /// Σ (R, G, B, A) of the camera samples, and what others add that are aimed at something in the pixel.
     pub sum: [f64; 4],
-    /// Σ of the samples' weights: their number, where each weighs 1 (however many camera rays it has).
+    /// Σ of the camera samples' weights: their number, where each weighs 1 (however many camera rays it has).
     pub samples: f64,
 }
 

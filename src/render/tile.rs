@@ -6,6 +6,9 @@
 //! a shaded sample's own rays begin at all of them that may stand in for it ([`Post`]). What mirrors show is traced by all of
 //! them, each its share of the rays ([`Integrator::mirrored`]). Where a sun glints, each traces a ray for it, and what arrives
 //! is part of C ([`Expected::glint`](crate::integrator::Expected::glint)).
+//!
+//! Where a sun shows in a spot of a pixel, further samples are aimed at that (`spots`). There each camera ray counts one over
+//! how densely both kinds lie where it looks: as many as a sample has, and the spots' densities times [`AIMED`].
 
 use super::flush::flush;
 use super::schedule::{self, Looks, Pass};
@@ -74,43 +77,55 @@ impl Render<'_> {
             let (numbers, places) = (seed(of_pixel, pass.sequence, 1), seed(of_pixel, pass.replicate, 0));
             let Choice { views, deals } = self.choice(world.sampler, (pass, seen), pixel);
             let (of_spots, first) = (spots.of(pixel), s.cameras.len());
+            // Whose shadow rays begin elsewhere has seen what is weighed there, not here.
+            let (spotted, aimed) = (!of_spots.is_empty(), false);
             for sample in pass.first..pass.first + pass.count {
                 let numbers = Numbers { seed: numbers, sample };
                 // All samples' first camera rays have the beginning of the sequence, their second ones what follows: each
                 // are a stratified set.
                 let at = pass.before + sample;
                 // What one of a pixel's samples tells of dealing its rays out, they all would tell.
-                let noted = views > 1 && pass.looks.about && sample == pass.first;
-                let deals = views > 1 && deals || noted;
+                let noted = views > 1 && pass.looks.about && sample == pass.first && !spotted;
+                let deals = views > 1 && deals && !spotted || noted;
                 for view in 0..views {
                     let place = each * view + at;
-                    let aimed = false;
-                    s.cameras.push(CameraSample { pixel, place, places, numbers, view, views, deals, noted, aimed });
+                    s.cameras.push(CameraSample {
+                        pixel,
+                        place,
+                        places,
+                        numbers,
+                        view,
+                        views,
+                        deals,
+                        noted,
+                        spotted,
+                        aimed,
+                    });
                 }
-                for (spot, of_spot) in of_spots.iter().zip(1..) {
-                    let [places, numbers] = [(pass.replicate, 2 * of_spot), (pass.sequence, 2 * of_spot + 1)]
-                        .map(|(of, purpose)| seed(of_pixel, of, purpose));
-                    for i in 0..AIMED {
-                        let place = at * AIMED + i;
-                        if let Some(at) = spot.aim(random::sobol2(place, places).map(random::unit)) {
-                            let numbers = Numbers { seed: numbers, sample: sample * AIMED + i };
-                            s.aimed.push((s.cameras.len(), at));
-                            s.cameras.push(CameraSample {
-                                pixel,
-                                place,
-                                places,
-                                numbers,
-                                view: 0,
-                                views: 1,
-                                deals: false,
-                                noted: false,
-                                aimed: true,
-                            });
-                        }
+            }
+            for (spot, of_spot) in of_spots.iter().zip(1..) {
+                let [places, numbers] = [(pass.replicate, 2 * of_spot), (pass.sequence, 2 * of_spot + 1)]
+                    .map(|(of, purpose)| seed(of_pixel, of, purpose));
+                for i in AIMED * pass.first..AIMED * (pass.first + pass.count) {
+                    let place = AIMED * pass.before + i;
+                    if let Some(at) = spot.aim(random::sobol2(place, places).map(random::unit)) {
+                        s.aimed.push((s.cameras.len(), at));
+                        s.cameras.push(CameraSample {
+                            pixel,
+                            place,
+                            places,
+                            numbers: Numbers { seed: numbers, sample: i },
+                            view: 0,
+                            views: 1,
+                            deals: false,
+                            noted: false,
+                            spotted,
+                            aimed: true,
+                        });
                     }
                 }
             }
-            if !of_spots.is_empty() {
+            if spotted {
                 s.spotted.push(Spotted { cameras: first..s.cameras.len(), views, spots: of_spots.to_vec() });
             }
             if s.cameras.len() >= CHUNK {
@@ -273,7 +288,7 @@ impl Render<'_> {
         let mut saved = s.saved.iter().peekable();
         let mut notes = seen.notes();
         for &expected in &s.expected {
-            let CameraSample { pixel, views, deals: dealt, noted, .. } = s.cameras[first];
+            let CameraSample { pixel, views, deals: dealt, noted, spotted, .. } = s.cameras[first];
             let of_sample = &s.samples[first..first + views as usize];
             s.lights.clear();
             s.lights.extend(of_sample.iter().map(|sample| light(sample.radiance)));
@@ -284,8 +299,8 @@ impl Render<'_> {
             s.lights[0] = light(shown + glint);
             let saved = saved.next_if(|saved| saved.0 as usize == first).map_or(0.0, |saved| saved.1);
             let (traced, saved) = (s.hits[first].is_hit(), noted.then_some(saved));
-            // Beside samples that are aimed others weigh less the brighter they are.
-            if s.weights.get(first).is_none_or(|&weight| weight == 1.0) {
+            // Beside samples that are aimed others weigh less the brighter they are: such pixels are no measure.
+            if !spotted {
                 notes.take_in(pixel, Seen { expected: &s.lights, known, traced, dealt, saved });
             }
             first += views as usize;
@@ -303,7 +318,13 @@ impl Render<'_> {
         let point = Shading { pixel, distance, wo: -s.rays[sample].dir, surface, numbers, rays, posts };
         s.queue.sample = sample as u32;
         s.queue.notes = noted;
+        let (rays_before, hidden_before) = (s.queue.targets.len(), s.queue.hidden.len());
         let known = self.integrator.shade(world, &point, &mut s.draws, &mut s.queue);
+        if camera.aimed {
+            // What lies where a sun shows is not what lies about it.
+            s.queue.targets[rays_before..].fill(NO_TARGET);
+            s.queue.hidden[hidden_before..].iter_mut().for_each(|(target, _)| *target = NO_TARGET);
+        }
         let radiance = &mut s.samples[sample].radiance;
         *radiance = views * known - (views - 1.0) * *radiance;
         if mirrors {
@@ -358,7 +379,8 @@ pub(super) struct CameraSample {
     /// Whether shadow rays are dealt out to them, and whether what that saves is noted.
     deals: bool,
     noted: bool,
-    /// Whether it is one more of its pixel, aimed at a spot.
+    /// Whether its pixel has spots, and whether it is one more that is aimed at one.
+    spotted: bool,
     aimed: bool,
 }
 

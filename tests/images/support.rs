@@ -67,6 +67,18 @@ impl Stage {
         dome: &Path,
         sampler: &str,
         with: Option<&dyn Integrator>,
+        effort @ [side, ..]: [u32; 3],
+    ) -> Picture {
+        self.render_part([0, 0, side, side], dome, sampler, with, effort)
+    }
+
+    /// The same of some columns and rows.
+    pub(crate) fn render_part(
+        &self,
+        crop: [u32; 4],
+        dome: &Path,
+        sampler: &str,
+        with: Option<&dyn Integrator>,
         [side, spp, rays]: [u32; 3],
     ) -> Picture {
         let dome = Arc::new(dome::load(dome, 0.0, 1.0).unwrap());
@@ -77,7 +89,7 @@ impl Stage {
         let direct = (make.make)(&params).unwrap();
         let settings = Settings {
             size: [side; 2],
-            crop: [0, 0, side, side],
+            crop,
             spp,
             rays,
             camera_rays: None,
@@ -98,6 +110,21 @@ impl Stage {
         let mean = picture.film.rgba().chunks_exact(4).map(Vec3::from_slice).collect();
         let variance = picture.film.replicates.variance().chunks_exact(3).map(Vec3::from_slice).collect();
         Picture { mean, variance, freedom: f64::from(picture.film.replicates.count - 1) }
+    }
+
+    /// Whether samples that are spread `evenly` over a pixel have missed a quarter of what is there, a sun's glint that `aimed`
+    /// ones have found. A hundred thousand of them must agree with these.
+    pub(crate) fn is_missed(&self, at: usize, side: u32, dome: &Path, [aimed, evenly]: [&Picture; 2]) -> bool {
+        let (x, y) = (at as u32 % side, at as u32 / side);
+        let (found, seen) = (aimed.mean[at], evenly.mean[at]);
+        if (found - seen).abs().cmple(0.25 * found.max(Vec3::splat(0.1))).all() {
+            return false;
+        }
+        let many = self.render_part([x, y, 1, 1], dome, "latlong", None, [side, 1 << 17, 2]);
+        let spread = (many.variance[0] + aimed.variance[at]).map(f32::sqrt);
+        println!("pixel {x}, {y}: {seen}, aimed {found}, by many {} ± {spread}", many.mean[0]);
+        assert!((many.mean[0] - found).abs().cmple(5.0 * spread).all(), "pixel {x}, {y}: {found} is wrong");
+        true
     }
 
     /// For each pixel, whether it lies inside a surface, farther than half a pixel from all outlines: 3 × 3 rays over

@@ -11,10 +11,10 @@ use glam::{Mat2, Vec2, Vec3};
 use std::f32::consts::PI;
 use std::ptr;
 
-/// The cosine of how far from a sun a mirrored ray may go where the search begins.
+/// The cosine of how far from a sun a mirrored ray may go where one is looked for.
 const NEAR: f32 = 0.5;
 
-/// The cosine between what neighbours mirror from which on they are not much alike.
+/// The cosine of how far apart the mirrored rays of neighbours go that are alike.
 const CURVED: f32 = 0.966;
 
 /// Places across and down from which the search begins where neighbours are not alike.
@@ -25,16 +25,16 @@ const MIDDLE: Vec2 = Vec2::splat(0.5);
 /// How far apart places are that a derivative is taken from.
 const STEP: f32 = 1.0 / 32.0;
 
-/// How far beside its pixel a step may lead.
+/// How far beside its pixel a step may lead. (With a filter that knows no places outside it ends there.)
 const ASIDE: f32 = 0.5;
 
-/// Steps of Newton's method at most.
+/// Steps of Newton's method at most, the one from a pixel's middle among them.
 const STEPS: usize = 6;
 
 /// The length of a step, in ρ², after which nothing is to be gained by another.
 const SHORT: f32 = 0.1;
 
-/// The share of a pixel that a spot is at most: larger ones are met anyway.
+/// The share of a pixel that a spot fills at most: larger ones are met anyway.
 const LARGEST: f32 = 0.2;
 
 /// What a spot is worth at least, in the square of the dome's mean radiance.
@@ -113,6 +113,9 @@ impl<'a> Search<'a> {
         let mut tries = self.begin(window);
         let mut found = Vec::new();
         for _ in 1..STEPS {
+            if tries.is_empty() {
+                break;
+            }
             tries = self.go_on(&tries, &mut found);
         }
         let rays: Vec<Ray> = found.iter().map(|&(_, ray)| ray).collect();
@@ -153,7 +156,7 @@ impl<'a> Search<'a> {
                 Some(own) if around.clone().all(|other| own.is_like(other)) => {
                     for sun in suns.iter().filter(|sun| own.is_near(sun)) {
                         let Some(lobe) = self.lobe(own) else { continue };
-                        let miss = sun_plane(sun);
+                        let miss = miss_of(sun);
                         let change = |[before, after]: [Option<Option<&Mirror>>; 2]| {
                             let [before, after] = [before, after].map(Option::flatten);
                             let apart = if before.is_some() && after.is_some() { 2.0 } else { 1.0 };
@@ -284,20 +287,20 @@ impl Step {
 
 /// Newton's step towards where the sum of squares is least, from a place and two beside it.
 fn step(at: Vec2, [mirror, right, down]: [&Mirror; 3], lobe: &Specular, sun: &Sun) -> Step {
-    let miss = sun_plane(sun);
+    let miss = miss_of(sun);
     let e = miss(mirror);
     let [(_, to_right), (_, to_below)] = beside(([0; 2], at));
     let derivative = Mat2::from_cols((miss(right) - e) / (to_right - at).x, (miss(down) - e) / (to_below - at).y);
     Step::new(at, e, derivative, lobe, sun)
 }
 
-/// How far a mirrored ray misses a sun, as seen in a plane across.
-fn sun_plane(sun: &Sun) -> impl Fn(&Mirror) -> Vec2 {
+/// How far a mirrored ray misses a sun, in a plane across.
+fn miss_of(sun: &Sun) -> impl Fn(&Mirror) -> Vec2 {
     let (x, y) = sun.dir.any_orthonormal_pair();
     move |mirror| Vec2::new(mirror.dir.dot(x), mirror.dir.dot(y))
 }
 
-/// Of sun and lobe together. Half vectors spread by α, mirrored directions twice as far.
+/// σ². Half vectors spread by α, mirrored directions twice as far.
 fn sigma2(lobe: &Specular, sun: &Sun) -> f32 {
     4.0 * lobe.alpha * lobe.alpha + sun.radius2
 }
