@@ -266,12 +266,16 @@ impl Render<'_> {
 
 /// The blocks of `side` pixels that a window is cut into, aligned to the full image so that all windows cut the same ones.
 fn blocks([x0, y0, width, height]: [u32; 4], side: u32) -> impl Iterator<Item = [u32; 4]> {
-    let within = move |at: u32, first: u32, count: u32| ((at * side).max(first), ((at + 1) * side).min(first + count));
     let of = move |first: u32, count: u32| first / side..(first + count).div_ceil(side);
     of(y0, height).flat_map(move |row| {
         of(x0, width).map(move |column| {
-            let ((left, right), (top, bottom)) = (within(column, x0, width), within(row, y0, height));
+            let ([left, right], [top, bottom]) = (within(column, side, x0, width), within(row, side, y0, height));
             [left, top, right - left, bottom - top]
         })
     })
+}
+
+/// The first place of a block's, and the one behind its last, as far as they are in `first..first + count`.
+fn within(block: u32, side: u32, first: u32, count: u32) -> [u32; 2] {
+    [(block * side).max(first), ((block + 1) * side).min(first + count)]
 }

@@ -13,7 +13,7 @@
 
 mod search;
 
-use super::{Render, Settings};
+use super::{Render, Settings, within};
 use crate::sampler::Sun;
 use crate::scene::Material;
 use glam::{Mat2, Vec2};
@@ -108,9 +108,8 @@ impl<'a> Spots<'a> {
     /// A region's, row by row.
     fn find(&self, [column, row]: [u32; 2]) -> Vec<Spot> {
         let [x0, y0, width, height] = self.render.settings.crop;
-        let within =
-            |at: u32, first: u32, count: u32| [(at * REGION).max(first), ((at + 1) * REGION).min(first + count)];
-        Search::new(self).run(&Window { across: within(column, x0, width), down: within(row, y0, height) })
+        Search::new(self)
+            .run(&Window { across: within(column, REGION, x0, width), down: within(row, REGION, y0, height) })
     }
 }
 

@@ -154,8 +154,10 @@ impl<'a> Search<'a> {
             let around = across.into_iter().chain(down).flatten();
             match own {
                 Some(own) if around.clone().all(|other| own.is_like(other)) => {
-                    for sun in suns.iter().filter(|sun| own.is_near(sun)) {
-                        let Some(lobe) = self.lobe(own) else { continue };
+                    // Looked up once, and only where a sun is near.
+                    let mut near = suns.iter().filter(|sun| own.is_near(sun)).peekable();
+                    let Some(lobe) = near.peek().and_then(|_| self.lobe(own)) else { continue };
+                    for sun in near {
                         let miss = miss_of(sun);
                         let change = |[before, after]: [Option<Option<&Mirror>>; 2]| {
                             let [before, after] = [before, after].map(Option::flatten);
