@@ -2,6 +2,7 @@
 //!
 //! Tiles are independent: their queues of shadow rays, their parts of the film and the blocks of the shadow cache are their own.
 
+mod cameras;
 mod flush;
 mod schedule;
 mod spots;

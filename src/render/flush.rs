@@ -17,7 +17,7 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
     for &(sample, rays) in &queue.samples {
         let camera = camera(sample, &s.mirrored, &s.glints);
         let Some(aovs) = &mut s.samples[camera].aovs else { break };
-        let views = s.cameras[camera].views as f32;
+        let views = s.cameras.samples[camera].views as f32;
         for i in first..first + rays as usize {
             let light = views * Dome::weight(queue.contributions.get(i).to_array());
             aovs.light[1] += light;
@@ -27,7 +27,7 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
     }
     let contributions = queue.contributions.resize(queue.rays.len(), 0);
     let most = dispatch(Arrive { contributions, occluded: &s.occluded });
-    if s.weights.is_empty() {
+    if s.cameras.weights.is_empty() {
         counts.max_weight = counts.max_weight.max(most);
     }
     s.saved.extend(queue.saved());
@@ -37,7 +37,7 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
         let of_sample = first..first + rays as usize;
         let arrived = [r, g, b].map(|row| row[of_sample.clone()].iter().sum::<f32>());
         let camera = camera(sample, &s.mirrored, &s.glints);
-        if let Some(weight) = s.weights.get(camera) {
+        if let Some(weight) = s.cameras.weights.get(camera) {
             let most = [r, g, b].into_iter().flat_map(|row| &row[of_sample.clone()]).fold(0.0, |a: f32, &b| a.max(b));
             counts.max_weight = counts.max_weight.max(most * weight);
         }
@@ -46,7 +46,7 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
             GLINT => &mut s.glints[(sample & !GLINT) as usize].1,
             _ => &mut s.mirrored[(sample & !MIRRORED) as usize].1,
         };
-        *to += s.cameras[camera].views as f32 * Vec3::from(arrived);
+        *to += s.cameras.samples[camera].views as f32 * Vec3::from(arrived);
         first = of_sample.end;
     }
     queue.in_order(&mut s.occluded);

@@ -10,9 +10,10 @@
 //! Where a sun shows in a spot of a pixel, further samples are aimed at that (`spots`). There each camera ray counts one over
 //! how densely both kinds lie where it looks: as many as a sample has, and the spots' densities times [`AIMED`].
 
+use super::cameras::{CameraSample, Cameras};
 use super::flush::flush;
 use super::schedule::{self, Looks, Pass};
-use super::spots::{AIMED, Spot, Spots};
+use super::spots::{AIMED, Spots};
 use super::views::{Choice, Seen, Views};
 use super::{Background, Counts, Render};
 use crate::accel::{Hit, Ray};
@@ -20,14 +21,13 @@ use crate::dome::Dome;
 use crate::dome::project::Grid;
 use crate::film::{AovSample, Part, Sample};
 use crate::integrator::visibility::{self, nearest};
-use crate::integrator::{Among, Lambert, Post, Queue, Shading, World};
+use crate::integrator::{Lambert, Post, Queue, Shading, World};
 use crate::random;
 use crate::sampler::shadow_cache::NO_TARGET;
 use crate::sampler::{DomeSampler, Draws, Numbers};
 use crate::scene::{Surface, offset_origin};
 use crate::simd::{Kernel, dispatch};
-use glam::{Vec2, Vec3};
-use std::ops::Range;
+use glam::Vec3;
 
 /// Camera rays traced together.
 const CHUNK: usize = 1024;
@@ -76,7 +76,7 @@ impl Render<'_> {
             let (_, pixel, of_pixel) = s.pixels[i];
             let (numbers, places) = (seed(of_pixel, pass.sequence, 1), seed(of_pixel, pass.replicate, 0));
             let Choice { views, deals } = self.choice(world.sampler, (pass, seen), pixel);
-            let (of_spots, first) = (spots.of(pixel), s.cameras.len());
+            let (of_spots, first) = (spots.of(pixel), s.cameras.samples.len());
             // Whose shadow rays begin elsewhere has seen what is weighed there, not here.
             let (spotted, aimed) = (!of_spots.is_empty(), false);
             for sample in pass.first..pass.first + pass.count {
@@ -89,7 +89,7 @@ impl Render<'_> {
                 let deals = views > 1 && deals && !spotted || noted;
                 for view in 0..views {
                     let place = each * view + at;
-                    s.cameras.push(CameraSample {
+                    s.cameras.samples.push(CameraSample {
                         pixel,
                         place,
                         places,
@@ -109,8 +109,7 @@ impl Render<'_> {
                 for i in AIMED * pass.first..AIMED * (pass.first + pass.count) {
                     let place = AIMED * pass.before + i;
                     if let Some(at) = spot.aim(random::sobol2(place, places).map(random::unit)) {
-                        s.aimed.push((s.cameras.len(), at));
-                        s.cameras.push(CameraSample {
+                        let sample = CameraSample {
                             pixel,
                             place,
                             places,
@@ -121,14 +120,15 @@ impl Render<'_> {
                             noted: false,
                             spotted,
                             aimed: true,
-                        });
+                        };
+                        s.cameras.aim(sample, at);
                     }
                 }
             }
             if spotted {
-                s.spotted.push(Spotted { cameras: first..s.cameras.len(), views, spots: of_spots.to_vec() });
+                s.cameras.weigh_from(first, views, of_spots);
             }
-            if s.cameras.len() >= CHUNK {
+            if s.cameras.samples.len() >= CHUNK {
                 self.chunk(world, (pass, seen), s, film, &mut counts);
             }
         }
@@ -153,9 +153,8 @@ impl Render<'_> {
         s.posts.clear();
         s.saved.clear();
         let gloss = self.scene.needs.gloss;
-        dispatch(Places { cameras: &s.cameras, places: &mut s.places });
-        s.aim();
-        for (&CameraSample { pixel: [x, y], .. }, &[u, v]) in s.cameras.iter().zip(&s.places) {
+        s.cameras.place();
+        for (&CameraSample { pixel: [x, y], .. }, &[u, v]) in s.cameras.samples.iter().zip(&s.cameras.places) {
             let filter = self.settings.filter;
             s.rays.push(self.view.ray(x as f32 + 0.5 + filter.offset(u), y as f32 + 0.5 + filter.offset(v)));
         }
@@ -165,7 +164,7 @@ impl Render<'_> {
         let mut sky = 0;
         let mut waiting = None;
         for i in 0..s.rays.len() {
-            let camera = s.cameras[i];
+            let camera = s.cameras.samples[i];
             let CameraSample { pixel, numbers, views, deals, .. } = camera;
             let shaded = camera.is_shaded();
             let (ray, hit) = (&s.rays[i], &s.hits[i]);
@@ -258,13 +257,13 @@ impl Render<'_> {
         }
         for &(sample, glint) in &s.glints {
             // It was expected of the shaded one as of the others, and is known.
-            let others = (s.cameras[sample as usize].views - 1) as f32;
+            let others = (s.cameras.samples[sample as usize].views - 1) as f32;
             s.samples[sample as usize].radiance -= others * glint;
         }
-        for (value, weight) in s.samples.iter_mut().zip(&s.weights) {
+        for (value, weight) in s.samples.iter_mut().zip(&s.cameras.weights) {
             value.radiance *= *weight;
         }
-        for (&CameraSample { pixel, numbers, views, aimed, .. }, value) in s.cameras.iter().zip(&s.samples) {
+        for (&CameraSample { pixel, numbers, views, aimed, .. }, value) in s.cameras.samples.iter().zip(&s.samples) {
             if value.radiance.is_finite() {
                 match aimed {
                     false => film.add(pixel, value, pass.weight / views as f32),
@@ -276,7 +275,6 @@ impl Render<'_> {
             }
         }
         s.cameras.clear();
-        s.spotted.clear();
     }
 
     /// Shows `seen` what was expected, and what has become of it.
@@ -288,7 +286,7 @@ impl Render<'_> {
         let mut saved = s.saved.iter().peekable();
         let mut notes = seen.notes();
         for &expected in &s.expected {
-            let CameraSample { pixel, views, deals: dealt, noted, spotted, .. } = s.cameras[first];
+            let CameraSample { pixel, views, deals: dealt, noted, spotted, .. } = s.cameras.samples[first];
             let of_sample = &s.samples[first..first + views as usize];
             s.lights.clear();
             s.lights.extend(of_sample.iter().map(|sample| light(sample.radiance)));
@@ -310,7 +308,7 @@ impl Render<'_> {
     /// Shades a sample: what it is expected to be makes way for what is known, and for what its rays will bring.
     fn shade(&self, world: &World<'_>, pass: &Pass, waiting: &Waiting, s: &mut Scratch, counts: &mut Counts) {
         let &Waiting { sample, posts, distance, ref surface, mirrors } = waiting;
-        let camera = s.cameras[sample];
+        let camera = s.cameras.samples[sample];
         let CameraSample { pixel, numbers, views, deals, noted, .. } = camera;
         let posts = &s.posts[posts..][..if deals { views as usize } else { 0 }];
         let views = views as f32;
@@ -363,65 +361,8 @@ pub(super) const MIRRORED: u32 = 1 << 31;
 /// The same for what glints there: an index of `glints`.
 pub(super) const GLINT: u32 = 1 << 30;
 
-/// A camera ray to be traced.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct CameraSample {
-    pixel: [u32; 2],
-    /// Where in the pixel: an index into its sequence, and the sequence's seed.
-    place: u32,
-    places: u32,
-    /// For its shadow rays.
-    numbers: Numbers,
-    /// Which of its sample's it is; the first is shaded.
-    view: u32,
-    /// How many there are of its sample.
-    pub(super) views: u32,
-    /// Whether shadow rays are dealt out to them, and whether what that saves is noted.
-    deals: bool,
-    noted: bool,
-    /// Whether its pixel has spots, and whether it is one more that is aimed at one.
-    spotted: bool,
-    aimed: bool,
-}
-
-impl CameraSample {
-    fn is_shaded(&self) -> bool {
-        self.view == 0
-    }
-
-    fn among(&self, pass: &Pass) -> Among {
-        Among { view: self.view, views: self.views, each: pass.looks.about }
-    }
-}
-
-/// Camera samples treated together.
+/// Directions treated together.
 const LANES: usize = 16;
-
-/// Where in their pixels camera samples look, in [0, 1)², before the filter.
-struct Places<'a> {
-    cameras: &'a [CameraSample],
-    places: &'a mut Vec<[f32; 2]>,
-}
-
-impl Kernel for Places<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        self.places.clear();
-        for cameras in self.cameras.chunks(LANES) {
-            let (mut index, mut seed) = ([0; LANES], [0; LANES]);
-            for ((index, seed), camera) in index.iter_mut().zip(&mut seed).zip(cameras) {
-                (*index, *seed) = (camera.place, camera.places);
-            }
-            let mut places = [[0.0; 2]; LANES];
-            for i in 0..LANES {
-                places[i] = random::sobol2(index[i], seed[i]).map(random::unit);
-            }
-            self.places.extend_from_slice(&places[..cameras.len()]);
-        }
-    }
-}
 
 /// The dome's texels that directions point at.
 struct Texels<'a> {
@@ -455,51 +396,12 @@ struct Waiting {
     mirrors: bool,
 }
 
-/// Camera samples of a pixel with spots.
-#[derive(Debug)]
-struct Spotted {
-    cameras: Range<usize>,
-    /// Camera rays of each sample that is spread evenly.
-    views: u32,
-    spots: Vec<Spot>,
-}
-
-impl Scratch {
-    /// Puts those that are aimed in their places, and weighs them and those that are spread evenly by the balance heuristic.
-    fn aim(&mut self) {
-        self.weights.clear();
-        if self.spotted.is_empty() {
-            return;
-        }
-        for (camera, at) in self.aimed.drain(..) {
-            self.places[camera] = at.into();
-        }
-        self.weights.resize(self.cameras.len(), 1.0);
-        for Spotted { cameras, views, spots } in &self.spotted {
-            for i in cameras.clone() {
-                let at = self.places[i].into();
-                let aimed = AIMED as f32 * spots.iter().map(|spot| spot.density(at)).sum::<f32>();
-                let views = *views as f32;
-                // One of those that are aimed is not divided by how many are not.
-                let one = if self.cameras[i].aimed { 1.0 } else { views };
-                self.weights[i] = one / (views + aimed);
-            }
-        }
-    }
-}
-
 /// A thread's memory, used again from tile to tile.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
     /// The tile's pixels by what they will look up, each with what its seeds begin with.
     pixels: Vec<(u32, [u32; 2], u32)>,
-    pub(super) cameras: Vec<CameraSample>,
-    places: Vec<[f32; 2]>,
-    /// Which of them are aimed at a spot, and where.
-    aimed: Vec<(usize, Vec2)>,
-    spotted: Vec<Spotted>,
-    /// What each camera ray counts; empty where no pixel has spots, and all count one.
-    pub(super) weights: Vec<f32>,
+    pub(super) cameras: Cameras,
     rays: Vec<Ray>,
     hits: Vec<Hit>,
     /// What those of samples that deal met, as far as shadow rays may begin there.
