@@ -1,4 +1,7 @@
 //! Camera samples: where in their pixels they look, and what each counts.
+//!
+//! That is one, but in a pixel with spots, at which further samples are aimed (`spots`). There it is one over how densely both
+//! kinds lie where a camera ray looks, as many as a sample has and the spots' densities times [`AIMED`]: the balance heuristic.
 
 use super::schedule::Pass;
 use super::spots::{AIMED, Spot};
@@ -82,7 +85,7 @@ impl Cameras {
         self.spotted.push(Spotted { samples: first..self.samples.len(), views, spots: spots.to_vec() });
     }
 
-    /// Puts all in their places, and weighs those that are aimed and those that are spread evenly by the balance heuristic.
+    /// Puts all in their places and weighs them.
     pub(super) fn place(&mut self) {
         dispatch(Places { samples: &self.samples, places: &mut self.places });
         self.weights.clear();

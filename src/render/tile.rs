@@ -7,8 +7,7 @@
 //! them, each its share of the rays ([`Integrator::mirrored`]). Where a sun glints, each traces a ray for it, and what arrives
 //! is part of C ([`Expected::glint`](crate::integrator::Expected::glint)).
 //!
-//! Where a sun shows in a spot of a pixel, further samples are aimed at that (`spots`). There each camera ray counts one over
-//! how densely both kinds lie where it looks: as many as a sample has, and the spots' densities times [`AIMED`].
+//! Where a sun shows in a spot of a pixel, further samples are aimed at that (`spots`), and all are weighed (`cameras`).
 
 use super::cameras::{CameraSample, Cameras};
 use super::flush::flush;
