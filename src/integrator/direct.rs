@@ -62,7 +62,7 @@ impl Integrator for Direct {
             let bsdf = Bsdf::new(point.surface, point.wo);
             let shares = Shares::new(point, &bsdf, world.sampler);
             // Where all come from the lobe as well: a point takes its place in the cache in the order of pixels.
-            world.sampler.begin(&sampled(point, bsdf), shares.dome, draws);
+            world.sampler.begin(&shares.sampled(point, bsdf), shares.dome, draws);
         }
     }
 
@@ -108,7 +108,7 @@ impl Integrator for Direct {
             world,
             point: &Shading { numbers: Numbers { seed, sample: sample * parts + view / step }, ..*point },
             bsdf,
-            shares: Shares { dome: 0, gloss: 0, lobe: rays.div_ceil(parts) },
+            shares: Shares { dome: 0, gloss: 0, lobe: rays.div_ceil(parts), all: false },
             lobe: Lobe::new(&bsdf, surface.ns, point.wo, false),
             weight: 1.0 / parts as f32,
         };
@@ -179,6 +179,8 @@ struct Shares {
     gloss: u32,
     /// To directions drawn from the surface.
     lobe: u32,
+    /// Whether directions drawn from the dome go by the specular term, too.
+    all: bool,
 }
 
 impl Shares {
@@ -186,25 +188,32 @@ impl Shares {
     fn new(point: &Shading<'_>, bsdf: &Bsdf, sampler: &dyn DomeSampler) -> Self {
         let rays = point.rays;
         if sampler.needs_partner() {
-            return Self { dome: rays.div_ceil(2), gloss: 0, lobe: (rays / 2).max(1) };
+            return Self { dome: rays.div_ceil(2), gloss: 0, lobe: (rays / 2).max(1), all: false };
         }
-        let Some(lobe) = &bsdf.specular else { return Self { dome: rays, gloss: 0, lobe: 0 } };
+        let Some(lobe) = &bsdf.specular else { return Self { dome: rays, gloss: 0, lobe: 0, all: false } };
         let cosine = point.wo.dot(point.surface.ns);
         let shine = shine(bsdf, lobe, cosine);
         let mirror = lobe.alpha < NARROW;
         if !mirror && !sampler.sees_gloss() {
             // Directions by irradiance serve both terms: from a quarter to half of all come from the lobe.
             let lobe = ((rays as f32 * LEAST * (1.0 + shine)).round() as u32).max(1);
-            return Self { dome: rays.saturating_sub(lobe).max(1), gloss: 0, lobe };
+            return Self { dome: rays.saturating_sub(lobe).max(1), gloss: 0, lobe, all: false };
         }
-        if is_dull(bsdf, lobe, cosine) {
-            return Self { dome: rays, gloss: 0, lobe: 0 };
+        let dull = is_dull(bsdf, lobe, cosine);
+        if dull || lobe.alpha >= WIDE && sampler.shows_lobes() {
+            return Self { dome: rays, gloss: 0, lobe: 0, all: !dull };
         }
         // The lobe has a quarter at least: what it shows is narrower, and knows no exact integral.
         let most = rays.saturating_sub(((rays as f32 * LEAST) as u32).max(1));
         let dome = ((rays as f32 * (1.0 - shine)).round() as u32).min(most).max(u32::from(bsdf.diffuse != Vec3::ZERO));
         let left = rays.saturating_sub(dome).max(1);
-        if mirror { Self { dome, gloss: 0, lobe: left } } else { Self { dome, gloss: left, lobe: 0 } }
+        let (gloss, lobe) = if mirror { (0, left) } else { (left, 0) };
+        Self { dome, gloss, lobe, all: false }
+    }
+
+    /// The point as the sampler sees it when it draws from the dome.
+    fn sampled(&self, point: &Shading<'_>, bsdf: Bsdf) -> Point {
+        sampled(point, Bsdf { specular: bsdf.specular.filter(|_| self.all), ..bsdf })
     }
 }
 
@@ -233,13 +242,13 @@ impl Shade<'_> {
         }
         let surface = self.point.surface;
         let (ns, ng) = (surface.ns, surface.ng);
-        let point = sampled(self.point, self.bsdf);
+        let point = self.shares.sampled(self.point, self.bsdf);
         self.world.sampler.draw(&point, self.shares.dome, draws);
         let k = self.bsdf.diffuse * FRAC_1_PI;
         // All directions are on the normal's side: they begin at one place.
         let origin = offset_origin(surface.position, surface.error, ng, ng);
         if !self.is_apart() {
-            return k * (draws.integral - self.both(draws, queue, origin));
+            return self.both(draws, queue, origin);
         }
         let lambert = Lambert { origin, ng, ns, k };
         let posts = self.point.posts;
@@ -258,20 +267,22 @@ impl Shade<'_> {
         k * draws.integral - lambert.queue(false, draws, queue)
     }
 
-    /// Directions from the dome for both terms; returns the control variate's mean over them. The diffuse term goes by the
-    /// density of all the dome's directions, the specular one by that of the lobe's as well.
+    /// Directions from the dome for both terms; returns what the control variate's integral is beyond its mean over them. The
+    /// diffuse term goes by the density of all the dome's directions, the specular one by that of the lobe's as well.
     fn both(&self, draws: &Draws, queue: &mut Queue, origin: Vec3) -> Vec3 {
         let ng = self.point.surface.ng;
         let diffuse = self.bsdf.diffuse * FRAC_1_PI;
         let partner = self.world.sampler.needs_partner();
-        let Draws { dir, radiance, pdf, control, target, .. } = draws;
+        let f0 = self.bsdf.specular.map_or(Vec3::ZERO, |lobe| lobe.f0);
+        let Draws { dir, radiance, pdf, control, shown, target, .. } = draws;
         let n = dir.len() as f32;
         let mut sum = Vec3::ZERO;
         for first in (0..dir.len()).step_by(LANES) {
             let seen = dispatch(Look::<LANES> { lobe: &self.lobe, dir: dir.rows(), first });
             for (i, &pdf) in pdf.iter().enumerate().skip(first).take(LANES) {
                 let (dir, radiance, target) = (dir.get(i), radiance.get(i), target.get(i));
-                sum += radiance * control.get(i).map_or(0.0, |control| control / pdf);
+                let reflected = diffuse + shown.get(i).map_or(Vec3::ZERO, |shown| f0 * shown);
+                sum += radiance * reflected * control.get(i).map_or(0.0, |control| control / pdf);
                 if radiance == Vec3::ZERO {
                     continue;
                 }
@@ -289,7 +300,7 @@ impl Shade<'_> {
                 queue.targets.extend(target);
             }
         }
-        sum / n
+        diffuse * draws.integral + f0 * draws.integral_shown - sum / n
     }
 
     /// Directions from the dome as the lobe sees it, and from the lobe; returns what they are known to bring.

@@ -94,6 +94,11 @@ pub struct Draws {
     pub control: Vec<f32>,
     /// The control variate's exact integral over the sphere, W·m⁻² a channel.
     pub integral: Vec3,
+    /// What a wide lobe's f0 is multiplied by in the control variate, b·f·(n·ω), of each direction, sr⁻¹; empty where it leaves
+    /// lobes out.
+    pub shown: Vec<f32>,
+    /// The integral of what it shows by f0, W·m⁻²·sr⁻¹ a channel.
+    pub integral_shown: Vec3,
     /// What [`DomeSampler::observe`] counts each ray towards; empty where nothing is learned.
     pub target: Vec<u32>,
     /// Scratch of the integrator's: what becomes of each direction.
@@ -141,8 +146,10 @@ impl Draws {
         self.radiance.clear();
         self.pdf.clear();
         self.control.clear();
+        self.shown.clear();
         self.target.clear();
         self.integral = Vec3::ZERO;
+        self.integral_shown = Vec3::ZERO;
     }
 }
 
@@ -238,6 +245,11 @@ pub trait DomeSampler: Debug + Send + Sync {
 
     /// The density with which [`Self::draw`] drew `dir`, which lies in `texel`, for the point that `drawn` holds.
     fn pdf(&self, point: &Point, drawn: &Draws, dir: Vec3, texel: u32) -> f32;
+
+    /// Whether [`Self::draw`] goes by what a point's lobe shows as well, if that is wide.
+    fn shows_lobes(&self) -> bool {
+        false
+    }
 
     /// Whether it knows where a specular lobe looks: [`Self::draw_gloss`].
     fn sees_gloss(&self) -> bool {

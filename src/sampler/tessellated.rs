@@ -33,6 +33,7 @@ mod sums;
 mod texels;
 mod walk;
 mod weights;
+mod wide;
 
 pub use gloss::Glimpse;
 pub use memory::Found;
@@ -70,6 +71,7 @@ use std::time::Instant;
 use texels::{COUNTS, Texels};
 use walk::Asked;
 use weights::{Purpose, Subject, Weigh, WeighLearned};
+use wide::{WeighWide, Wide};
 
 /// The plugin.
 pub const PLUGIN: Plugin<MakeSampler> = Plugin {
@@ -253,18 +255,26 @@ impl Tessellated {
         })
     }
 
-    /// The weights of a point with normal `ns` that reads a record, for `n` directions; the memo's current ones from now on.
-    fn weights<'a>(&self, ns: Vec3, n: u32, record: Option<u32>, memo: &'a mut Memo) -> &'a Weights {
-        let Self { triangles, memory, .. } = self;
+    /// The weights of a point that reads a record, for `n` directions; the memo's current ones from now on.
+    fn weights<'a>(&self, point: &Point, n: u32, record: Option<u32>, memo: &'a mut Memo) -> &'a Weights {
+        let &Self { ref triangles, ref memory, normals, .. } = self;
         let subject = match record {
-            Some(record) => Subject::Learned { cell: self.normals.cell(ns) as u32, record },
+            Some(record) => Subject::Learned {
+                cell: normals.cell(point.ns) as u32,
+                record,
+                wide: Wide::new(&point.bsdf, point.wo, normals),
+            },
             // Without a control variate the density is all there is: made for the very normal.
-            None => Subject::Normal(ns),
+            None => Subject::Normal(point.ns),
         };
         memo.get(&Purpose { version: memory.version(), rays: n, subject }, |weights| match subject {
-            Subject::Learned { cell, record } => {
+            Subject::Learned { cell, record, wide } => {
                 let (irradiance, visibility) = (self.irradiance(cell as usize), memory.visibility(record));
-                dispatch(WeighLearned { triangles, irradiance, rays: n, visibility, weights });
+                let learned = WeighLearned { triangles, irradiance, rays: n, visibility, weights };
+                match wide {
+                    None => dispatch(learned),
+                    Some(wide) => dispatch(WeighWide { learned, wide, normals }),
+                }
             }
             Subject::Normal(normal) => dispatch(Weigh { triangles, normal, rays: n, weights }),
         })
@@ -323,6 +333,10 @@ impl DomeSampler for Tessellated {
 
     fn sees_gloss(&self) -> bool {
         !self.owners.is_empty()
+    }
+
+    fn shows_lobes(&self) -> bool {
+        self.memory.is_warm()
     }
 
     fn draw_gloss(&self, point: &Point, n: u32, out: &mut Draws) {

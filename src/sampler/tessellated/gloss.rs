@@ -98,6 +98,13 @@ impl Blurred {
         let grazing2 = grazing * grazing;
         [alpha2 * (0.5 * FRAC_1_PI) * about_reciprocal(d * d * masking), grazing2 * grazing2 * grazing]
     }
+
+    /// The share that the piece's extent has in the width that it is seen with.
+    #[inline(always)]
+    pub(super) fn uneven(&self, axis: Vec3, spread2: f32) -> f32 {
+        let blur = spread2 * BLUR * about_reciprocal(2.0 + 2.0 * axis.dot(self.wo) + 1e-6);
+        about_sqrt(blur * about_reciprocal(self.alpha2 + blur))
+    }
 }
 
 /// Makes the weights of one lobe.

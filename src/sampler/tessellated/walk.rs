@@ -98,7 +98,7 @@ impl Tessellated {
             return;
         }
         *last = 1 - *last;
-        let weights = self.weights(point.ns, n, record, memo);
+        let weights = self.weights(point, n, record, memo);
         let (asked, purpose, aim) = (Asked::new(point, n), weights.purpose, weights.aim);
         let stage = if weights.total > 0 { Stage::Chosen } else { Stage::Asked };
         if stage == Stage::Chosen {
@@ -122,20 +122,24 @@ impl Tessellated {
         }
         let slot = usize::from(!of_point(&out.prepared.walk.begun[0]));
         let begun = out.prepared.walk.begun[slot].take().expect("it has begun");
-        let Draws { dir, radiance, pdf, control, integral, target: targets, prepared, .. } = out;
+        let Draws { dir, radiance, pdf, control, shown, integral, integral_shown, target: targets, prepared, .. } = out;
         let Prepared { memo, walk: Walk { many, few, leaves, .. }, .. } = prepared;
         let record = begun.record;
         if !memo.recall(&begun.purpose, begun.entry) {
-            self.weights(point.ns, n, record, memo);
+            self.weights(point, n, record, memo);
         }
         let weights = memo.current();
         *integral = weights.integral(point.ns);
+        let shown = (!weights.shown.is_empty()).then(|| {
+            *integral_shown = weights.integral_shown(point.ns);
+            (&weights.shown[..], shown)
+        });
         if weights.total == 0 {
             return;
         }
         let control = record.is_some().then_some(control);
         let listens = self.listens();
-        let mut lists = Lists { dir, radiance, pdf, control, visibility: None, targets, target: begun.target, listens };
+        let mut lists = Lists { dir, radiance, pdf, control, visibility: None, shown, targets, target: begun.target, listens };
         let weights = (weights, leaves);
         if asked.are_few() {
             let Blocks { first, rest: [rest, _] } = few;
@@ -151,7 +155,7 @@ impl Tessellated {
         let Draws { dir, radiance, pdf, control, target: targets, prepared: Prepared { lobe, walk, .. }, .. } = out;
         let control = visibility.is_some().then_some(control);
         let listens = self.listens();
-        let mut lists = Lists { dir, radiance, pdf, control, visibility, targets, target, listens };
+        let mut lists = Lists { dir, radiance, pdf, control, visibility, shown: None, targets, target, listens };
         let Walk { many, few, leaves, .. } = walk;
         if asked.are_few() {
             self.descend((lobe, leaves), asked, Stage::Asked, few.rest.each_mut(), &mut lists);
@@ -215,6 +219,8 @@ struct Lists<'a> {
     control: Option<&'a mut Vec<f32>>,
     /// For a lobe, in its place: the groups' visibility in 255ths.
     visibility: Option<&'a [u8]>,
+    /// What a wide lobe is taken to show of each group, if there is one, and where that is written.
+    shown: Option<(&'a [f32], &'a mut Vec<f32>)>,
     targets: &'a mut Vec<u32>,
     target: u32,
     listens: bool,
@@ -240,6 +246,9 @@ impl Lists<'_> {
             }
             control.truncate(end);
         }
+        if let Some((of_groups, shown)) = &mut self.shown {
+            shown.extend(block.group[..block.count].iter().map(|&g| of_groups[g as usize]));
+        }
         if self.listens {
             let none = self.target == NO_TARGET;
             self.targets
@@ -255,6 +264,7 @@ mod tests {
     use crate::dome::{Dome, Faults, project::Grid};
     use crate::registry::resolve;
     use crate::sampler::Setup;
+    use crate::sampler::tessellated::tests::point;
     use crate::sampler::tessellated::{Memo, PLUGIN};
     use std::sync::Arc;
 
@@ -268,7 +278,7 @@ mod tests {
         let sampler = Tessellated::new(&dome, &params, &Setup { size: [64, 64], gloss: false, rays: 64, spp: 1 });
         for (n, normal) in (1..=21).flat_map(|n| [(n, Vec3::Y), (n, Vec3::new(0.48, -0.6, 0.64))]) {
             let mut memo = Memo::default();
-            let weights = sampler.weights(normal, n, None, &mut memo);
+            let weights = sampler.weights(&point(normal, n), n, None, &mut memo);
             let asked = Asked { normal, numbers: Numbers { seed: n, sample: 1 }, n };
             let (small, large) =
                 (descended::<FEW>(&sampler, weights, &asked), descended::<MANY>(&sampler, weights, &asked));
@@ -282,7 +292,7 @@ mod tests {
         let mut draws = Draws::default();
         let Draws { dir, radiance, pdf, control, target: targets, .. } = &mut draws;
         let control = Some(control);
-        let mut lists = Lists { dir, radiance, pdf, control, visibility: None, targets, target: 7, listens: true };
+        let mut lists = Lists { dir, radiance, pdf, control, visibility: None, shown: None, targets, target: 7, listens: true };
         let (mut block, mut ahead) = (Block::<N>::default(), Block::default());
         let mut leaves = LeafMemo::default();
         let blocks = [&mut block, &mut ahead];

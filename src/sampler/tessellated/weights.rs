@@ -1,12 +1,13 @@
 //! The groups' integer CDF: their irradiance, by what the shadow cache expects of their visibility, and with it the
 //! control variate.
 
-use super::irradiance::{ABOVE, BELOW, Irradiance, Parts, Sweep};
+use super::irradiance::{ABOVE, BELOW, Flux, Irradiance, Parts, Sweep};
 use super::lanes::Row;
 use super::normals::Aim;
+use super::wide::Wide;
 use super::sums::{self, Register, sum};
 use crate::random;
-use crate::sampler::preconvolution::{GROUP_LANES, Preconvolution};
+use crate::sampler::preconvolution::{GROUP_LANES, Nine, Preconvolution};
 use crate::simd::Kernel;
 use glam::Vec3;
 
@@ -41,8 +42,8 @@ pub(super) struct Purpose {
 pub(super) enum Subject {
     /// One normal's, where the shadow cache knows nothing.
     Normal(Vec3),
-    /// Those of a cell of normals and of a record of the shadow cache.
-    Learned { cell: u32, record: u32 },
+    /// Those of a cell of normals and of a record of the shadow cache, and of a wide lobe if there is one.
+    Learned { cell: u32, record: u32, wide: Option<Wide> },
 }
 
 impl Default for Subject {
@@ -65,7 +66,10 @@ impl Subject {
     fn hash(&self) -> u32 {
         match self {
             Self::Normal(n) => random::hash(&[n.x.to_bits(), n.y.to_bits(), n.z.to_bits()]),
-            Self::Learned { cell, record } => random::combine(*cell, *record),
+            Self::Learned { cell, record, wide: None } => random::combine(*cell, *record),
+            Self::Learned { cell, record, wide: Some(wide) } => {
+                random::combine(random::combine(*cell, *record), wide.hash())
+            }
         }
     }
 }
@@ -81,7 +85,7 @@ pub struct Weights {
     /// The irradiance for a normal of its own.
     own: Irradiance,
     /// Importance by what the cache makes of it.
-    weighted: Vec<f32>,
+    pub(super) weighted: Vec<f32>,
     /// What the control variate takes each group's visibility for, 0 for all that it leaves out; the sign says how the
     /// group's cells are drawn: [`goes_by_energy`].
     pub(super) control: Vec<f32>,
@@ -89,6 +93,10 @@ pub struct Weights {
     of_flux: Vec<Register>,
     /// Its integral over the sphere: Σ b F, a vector a channel.
     flux: [Vec3; 3],
+    /// What a wide lobe is taken to show of each group, by f0, sr⁻¹; empty without one.
+    pub(super) shown: Vec<f32>,
+    /// The control variate's integral by that: Σ b F f.
+    flux_shown: [Vec3; 3],
     /// Groups that have whole strata to themselves, after all others: a sun half in the shade is drawn as often at every
     /// point, so that the control variate misses nothing of it where it is hidden.
     pub(super) heavy: Vec<Heavy>,
@@ -151,8 +159,17 @@ impl Kernel for WeighLearned<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run(self) {
-        let Self { triangles, irradiance, rays, visibility, weights } = self;
+    fn run(mut self) {
+        self.learn();
+        self.weights.count(self.rays);
+    }
+}
+
+impl WeighLearned<'_> {
+    /// All but the CDF.
+    #[inline(always)]
+    pub(super) fn learn(&mut self) {
+        let Self { triangles, irradiance, visibility, weights, .. } = self;
         let count = irradiance_len(triangles);
         weights.resize(count);
         let (groups, _) = irradiance.importance[..count].as_chunks::<GROUP_LANES>();
@@ -181,12 +198,15 @@ impl Kernel for WeighLearned<'_> {
                 *m = f32::from(visibility[usize::from(group)]) * (1.0 / 255.0);
             }
         }
-        let flux = sums::products([(whole, &triangles.groups.rgb), (of_parts, rgb)]);
-        let channel = |c: usize| Vec3::new(flux[3 * c], flux[3 * c + 1], flux[3 * c + 2]);
-        weights.flux = [channel(0), channel(1), channel(2)];
-        weights.count(rays);
+        weights.flux = channels(sums::products([(whole, &triangles.groups.rgb), (of_parts, rgb)]));
         weights.aim = irradiance.aim;
     }
+}
+
+/// A vector a channel.
+#[inline(always)]
+fn channels(flux: Flux) -> [Vec3; 3] {
+    [0, 3, 6].map(|first| Vec3::new(flux[first], flux[first + 1], flux[first + 2]))
 }
 
 fn irradiance_len(triangles: &Preconvolution) -> usize {
@@ -214,7 +234,31 @@ impl Weights {
         Vec3::from(self.flux.map(|flux| flux.dot(n)))
     }
 
+    /// The same as a wide lobe shows it, by f0.
+    #[inline]
+    pub(super) fn integral_shown(&self, n: Vec3) -> Vec3 {
+        Vec3::from(self.flux_shown.map(|flux| flux.dot(n)))
+    }
+
+    /// Sums up the control variate as it is shown.
+    #[inline(always)]
+    pub(super) fn show(&mut self, rgb: &[Nine], parts: &Parts) {
+        let (whole, of_parts) = self.of_flux.split_at_mut(rgb.len());
+        for (Register(whole), shown) in whole.iter_mut().zip(self.shown.as_chunks::<GROUP_LANES>().0) {
+            for (m, shown) in whole.iter_mut().zip(shown) {
+                *m *= shown;
+            }
+        }
+        for (Register(of_parts), groups) in of_parts.iter_mut().zip(&parts.groups) {
+            for (m, &group) in of_parts.iter_mut().zip(groups) {
+                *m *= self.shown[usize::from(group)];
+            }
+        }
+        self.flux_shown = channels(sums::products([(whole, rgb), (of_parts, &parts.rgb)]));
+    }
+
     fn resize(&mut self, count: usize) {
+        self.shown.clear();
         self.weighted.resize(count, 0.0);
         self.control.resize(count, 0.0);
         self.of_flux.resize(2 * (count / GROUP_LANES), Register::default());
