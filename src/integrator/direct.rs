@@ -2,7 +2,8 @@
 //!
 //! The diffuse term is estimated by the dome sampler alone, with its control variate. For the specular term a sampler that
 //! knows where a lobe looks draws directions of its own (`gloss`); rays go to the two terms by what each reflects. What a
-//! rough plastic adds to its diffuse term is so little and so wide that this one's directions serve both. Of other samplers
+//! rough plastic adds to its diffuse term is so little and so wide that this one's directions serve both. So they do for a wide
+//! lobe that shows more, once the sampler goes by it as well ([`DomeSampler::shows_lobes`]). Of other samplers
 //! both terms have the same directions, and the specular one more, drawn from the lobe, by the balance heuristic (the diffuse
 //! term takes the dome's unweighted: a weighted control variate would have the wrong mean).
 //! A Lambertian point draws from the dome and knows nothing of MIS.
@@ -11,11 +12,13 @@
 //! place in the pixel: these directions are dealt out to all camera rays of a sample ([`Integrator::mirrored`]).
 //! What a wider lobe shows is expected of all camera rays: from about where the viewer's mirror image is, or if it is so wide
 //! that it hardly matters, from the normal's side. A sun shows in few of a pixel's places: what it adds there is known to all
-//! camera rays, but whether it arrives, which each asks with a ray ([`Expected::glint`]).
+//! camera rays, but whether it arrives, which each asks with a ray ([`Expected::glint`]). Where a sun's shadow may end, they
+//! ask for all that it adds (`sun`).
 
 use super::gloss::Gloss;
 use super::lambert::Lambert;
 use super::lobe::{Lobe, Look, Propose, Proposed};
+use super::sun::Sun;
 use super::{Among, Expected, Integrator, MakeIntegrator, Post, Queue, Shading, World};
 use crate::accel::Ray;
 use crate::bsdf::{Bsdf, Specular};
@@ -23,7 +26,7 @@ use crate::dome::Dome;
 use crate::random;
 use crate::registry::Plugin;
 use crate::sampler::shadow_cache::NO_TARGET;
-use crate::sampler::{DomeSampler, Draws, Expectation, Numbers, Point};
+use crate::sampler::{DomeSampler, Draws, Expectation, Glint, Numbers, Point};
 use crate::scene::{Surface, offset_origin};
 use crate::simd::{dispatch, prefetch};
 use glam::Vec3;
@@ -140,14 +143,27 @@ impl Integrator for Direct {
         // A lobe shows about what shines from where its mirror image is, but for what glints. Of a wide one that has no glint,
         // what the normal's side shines with says more, but at the rim.
         let mirrored = lobe.map(|_| 2.0 * cosine * surface.ns - point.wo);
-        let Expectation { irradiance, towards, alike } = world.sampler.expected(&sampled, mirrored, draws);
+        let Expectation { mut irradiance, towards, sunlight, alike } =
+            world.sampler.expected(&sampled, mirrored, draws);
         let by_mirror_image = glint.is_some() || lobe.is_some_and(|lobe| lobe.alpha < WIDE);
-        let of_body = if by_mirror_image { towards } else { irradiance };
-        let shown = body * of_body + rim * towards;
         let k = bsdf.diffuse * FRAC_1_PI;
+        let (mut of_body, mut sun) = (irradiance, Sun::default());
+        if let Some(sunlight) = sunlight.filter(|_| k != Vec3::ZERO) {
+            sun = Sun::new(&sunlight, irradiance, surface, point.wo, &bsdf, lobe.filter(|_| !by_mirror_image));
+            of_body -= sunlight.visible * sunlight.irradiance;
+            irradiance = of_body + sun.granted;
+        }
+        let of_body = if by_mirror_image { towards } else { of_body };
+        let shown = body * of_body + rim * towards;
         let lambert = Lambert { origin: Vec3::ZERO, ng: surface.ng, ns: surface.ns, k };
-        let post = alike.filter(|_| k != Vec3::ZERO).map(|alike| Post { alike, lambert, expected: k * irradiance });
-        let radiance = surface.emission + (bsdf.diffuse * irradiance + shown) * FRAC_1_PI;
+        // What a ray is traced for here is not dealt out, too.
+        let alike = alike.filter(|_| k != Vec3::ZERO && sun.asked.is_none());
+        let post = alike.map(|alike| Post { alike, lambert, expected: k * irradiance });
+        let glint = match (glint, sun.asked) {
+            (Some(of_lobe), Some(sun)) => Some(Glint { radiance: of_lobe.radiance + sun.radiance, ..of_lobe }),
+            (of_lobe, sun) => of_lobe.or(sun),
+        };
+        let radiance = surface.emission + (bsdf.diffuse * irradiance + shown) * FRAC_1_PI + sun.shown;
         Expected { radiance, post, glint }
     }
 }
@@ -413,7 +429,7 @@ mod tests {
     fn rays_go_to_both_terms_by_what_each_reflects() {
         let sampler = sampler("tessellated");
         let of = |metallic, roughness| {
-            let Shares { dome, gloss, lobe } = shares(sampler.as_ref(), 16, metallic, roughness);
+            let Shares { dome, gloss, lobe, .. } = shares(sampler.as_ref(), 16, metallic, roughness);
             [dome, gloss, lobe]
         };
         // Plastic: the lobe has a quarter, though it reflects a twelfth.
@@ -428,6 +444,21 @@ mod tests {
         assert_eq!(of(0.98, 0.01), [1, 0, 15]);
     }
 
+    /// Once something was learned.
+    #[test]
+    fn a_wide_lobe_shares_the_diffuse_terms_directions_which_go_by_it() {
+        let mut sampler = sampler("tessellated");
+        sampler.next_stage();
+        let of = |metallic, roughness| {
+            let Shares { dome, gloss, lobe, all } = shares(sampler.as_ref(), 16, metallic, roughness);
+            ([dome, gloss, lobe], all)
+        };
+        assert_eq!(of(1.0, 0.9), ([16, 0, 0], true));
+        assert_eq!(of(0.5, 0.6), ([16, 0, 0], true));
+        assert_eq!(of(1.0, 0.4), ([0, 16, 0], false), "not so wide");
+        assert_eq!(of(0.0, 0.9), ([16, 0, 0], false), "too dull to be gone by");
+    }
+
     #[test]
     fn few_rays_are_shared_out_and_no_term_is_left_without() {
         for spec in ["tessellated", "latlong", "latlong:mis"] {
@@ -436,7 +467,7 @@ mod tests {
                 [0.0, 0.3, 0.98, 1.0].into_iter().flat_map(|m| [0.01, 0.3, 1.0].map(|r| (m, r)))
             {
                 for rays in 1..=64 {
-                    let Shares { dome, gloss, lobe } = shares(sampler.as_ref(), rays, metallic, roughness);
+                    let Shares { dome, gloss, lobe, .. } = shares(sampler.as_ref(), rays, metallic, roughness);
                     let what = format!("{spec}, {rays} rays, metallic {metallic}, roughness {roughness}");
                     let shared = spec == "tessellated" && metallic == 0.0 && roughness == 1.0;
                     assert_eq!(gloss + lobe > 0, !shared, "{what}");

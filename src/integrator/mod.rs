@@ -9,6 +9,7 @@ pub mod direct;
 mod gloss;
 mod lambert;
 mod lobe;
+mod sun;
 pub mod visibility;
 
 pub use dealt::{Deal, Dealt};

@@ -4,8 +4,8 @@
 //! C, and the shaded ones how it is wrong, I − C. The mean of C over all and of I − C over the shaded is unbiased whatever C
 //! is, and edges, textures and bumps inside a pixel are seen by cheap rays ([`Integrator::expected`]). Where it pays,
 //! a shaded sample's own rays begin at all of them that may stand in for it ([`Post`]). What mirrors show is traced by all of
-//! them, each its share of the rays ([`Integrator::mirrored`]). Where a sun glints, each traces a ray for it, and what arrives
-//! is part of C ([`Expected::glint`](crate::integrator::Expected::glint)).
+//! them, each its share of the rays ([`Integrator::mirrored`]). Where a sun glints, or its shadow may end, each traces a ray
+//! for it, and what arrives is part of C ([`Expected::glint`](crate::integrator::Expected::glint)).
 //!
 //! Where a sun shows in a spot of a pixel, further samples are aimed at that (`spots`), and all are weighed (`cameras`).
 

@@ -180,8 +180,21 @@ pub struct Expectation {
     pub irradiance: Vec3,
     /// About the same on a surface there that faces the direction asked about, but for suns that [`DomeSampler::glint`] knows.
     pub towards: Vec3,
+    /// What of the irradiance is the sun's, where the dome has one.
+    pub sunlight: Option<Sunlight>,
     /// If any other point of its pixel has directions drawn for it with the same density, a number that those have in common.
     pub alike: Option<u64>,
+}
+
+/// The light of the one sun that a dome has, as a point sees it.
+#[derive(Debug, Clone, Copy)]
+pub struct Sunlight {
+    /// Unit direction to its middle.
+    pub dir: Vec3,
+    /// Irradiance if all of it arrives, W·m⁻² a channel; none below the normal's horizon.
+    pub irradiance: Vec3,
+    /// What share of it is expected to arrive.
+    pub visible: f32,
 }
 
 /// What a lobe would show of something small and bright, or of several such things, were nothing in between.

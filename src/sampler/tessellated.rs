@@ -227,7 +227,7 @@ impl Tessellated {
         let paid_for = (pixels / PIXELS_A_NORMAL).clamp(FEW_NORMALS, NORMALS);
         let normals = Normals::new(params.integer("normals").unwrap_or(paid_for) as usize);
         let table = if cache.is_some() { vec![OnceLock::new(); normals.count()] } else { Vec::new() };
-        let glints = if setup.gloss && cache.is_some() { Glints::new(&preconvolved) } else { Glints::default() };
+        let glints = if cache.is_some() { Glints::new(&preconvolved) } else { Glints::default() };
         let expected = match cache {
             Some(_) => Expected::new(&preconvolved, glints.groups()),
             None => Expected::default(),
@@ -398,6 +398,7 @@ impl DomeSampler for Tessellated {
         Expectation {
             irradiance: self.expected.irradiance(record, axis, point.ns),
             towards: towards.map_or(Vec3::ZERO, |dir| self.expected.towards(record, axis, dir)),
+            sunlight: self.expected.sunlight(record, axis, point.ns),
             // Weights are a cell's of normals and a record's.
             alike: record.map(|record| (self.normals.cell(point.ns) as u64) << 32 | u64::from(record.slot)),
         }

@@ -101,6 +101,22 @@ fn a_glint_is_seen_by_all_camera_rays() {
     }
 }
 
+/// Rough plastic, white walls and a rough metal in the sun, with shadows' edges across their pixels.
+fn rough_things() -> Vec<(Mesh, Material)> {
+    let mut parts = occluders();
+    let red = Vec4::new(0.8, 0.2, 0.1, 1.0);
+    parts[0].1 = Material { metallic: 0.0, roughness: 0.8, base_color: red, ..Material::default() };
+    parts[1].1 = Material { roughness: 1.0, ..brass() };
+    parts.push((ball(), Material { metallic: 0.5, roughness: 0.6, ..brass() }));
+    parts
+}
+
+/// Each camera ray asks whether the sun arrives where its shadow may end.
+#[test]
+fn the_suns_shadow_by_all_camera_rays() {
+    assert_unbiased_by_all_camera_rays(rough_things(), &sun(), 20, 4);
+}
+
 /// Balls on the floor and in the shadow of slats, so small that they show the sun in a spot of a pixel.
 fn balls(materials: [Material; 4]) -> Vec<(Mesh, Material)> {
     let mut parts = occluders();

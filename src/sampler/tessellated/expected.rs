@@ -7,6 +7,7 @@
 //! quadratic form of the normal a record and channel. The few brightest groups keep their clamped cosine.
 
 use super::sums::{Register, products};
+use crate::sampler::Sunlight;
 use crate::sampler::preconvolution::{GROUP_LANES, Nine, Preconvolution};
 use crate::sampler::shadow_cache::{AXES, Record};
 use crate::simd::{Kernel, dispatch};
@@ -24,6 +25,9 @@ const OFF_AXIS: f32 = 0.8165;
 
 /// Groups that are not taken together with the others: a sun at the horizon must not be in doubt.
 const BRIGHT: usize = 4;
+
+/// The share of the dome's light that its sun has at least.
+const SUNNY: f32 = 0.1;
 
 /// One of the brightest groups: a disc sun, as good as.
 #[derive(Debug)]
@@ -54,6 +58,8 @@ pub(super) struct Expected {
     records: Vec<OnceLock<OfRecord>>,
     /// By axis where there is no record: of every group half, for nobody knows.
     unknown: Vec<OfRecord>,
+    /// Whether the brightest group is a sun that holds much of the light.
+    is_sunny: bool,
 }
 
 impl Expected {
@@ -72,7 +78,9 @@ impl Expected {
         let groups: Vec<_> = AXES.iter().map(|&axis| terms(triangles, &bright, axis)).collect();
         let half = vec![128; triangles.groups.x.len()];
         let unknown = groups.iter().map(|groups| summed(groups, &bright, &half)).collect();
-        Self { groups, bright, records: Vec::new(), unknown }
+        let all: f32 = triangles.groups.f.iter().sum();
+        let is_sunny = bright.first().is_some_and(|sun| sun.glints && triangles.groups.f[sun.group] > SUNNY * all);
+        Self { groups, bright, records: Vec::new(), unknown, is_sunny }
     }
 
     /// Forgets what was expected of `slots` records: they are others now.
@@ -92,6 +100,14 @@ impl Expected {
     #[inline]
     pub(super) fn towards(&self, record: Option<Record<'_>>, axis: usize, dir: Vec3) -> Vec3 {
         self.sum(record, axis, dir, |bright| !bright.glints)
+    }
+
+    /// What the dome's one sun adds to the irradiance on normal `n`, if it has one.
+    #[inline]
+    pub(super) fn sunlight(&self, record: Option<Record<'_>>, axis: usize, n: Vec3) -> Option<Sunlight> {
+        let Bright { dir, flux, .. } = self.bright.first().filter(|_| self.is_sunny)?;
+        let visible = self.of_record(record, axis).bright[0];
+        Some(Sunlight { dir: *dir, irradiance: flux * n.dot(*dir).max(0.0), visible })
     }
 
     #[inline(always)]
@@ -205,6 +221,7 @@ mod tests {
         texels[64 * 5 + 20] = [900.0, 800.0, 700.0];
         let cells = DomeCells::new(Arc::new(Dome { grid, texels, faults: Faults::default() }));
         let triangles = Preconvolution::new(&cells, &Tessellation::new(&cells, 128, 1024));
+        assert!(!Expected::new(&triangles, &[]).is_sunny, "what is no sun");
         let mut expected = Expected::new(&triangles, Glints::new(&triangles).groups());
         let visible = vec![255; triangles.groups.x.len()];
         for (i, axis) in AXES.into_iter().enumerate() {
@@ -226,6 +243,15 @@ mod tests {
                 assert!(error.cmple(most).all(), "axis {i}: {error} is above {most}");
                 let error = (expected.towards(record, i, n) - without_sun).abs();
                 assert!(error.cmple(most).all(), "axis {i}, without the sun: {error} is above {most}");
+                let sunlight = expected.sunlight(record, i, n).expect("a dome with a sun");
+                // The largest of the pieces that the texel was cut into.
+                let (part, all) = (sunlight.irradiance, exact - without_sun);
+                assert!(
+                    (part - 0.25 * all).min_element() >= 0.0 && (1.01 * all - part).min_element() >= 0.0,
+                    "{i}: {part}"
+                );
+                assert!(all == Vec3::ZERO || (part / all - part.x / all.x).abs().max_element() < 0.01, "{i}: {part}");
+                assert_eq!(sunlight.visible, 1.0);
             }
         }
     }

@@ -139,7 +139,8 @@ impl Tessellated {
         }
         let control = record.is_some().then_some(control);
         let listens = self.listens();
-        let mut lists = Lists { dir, radiance, pdf, control, visibility: None, shown, targets, target: begun.target, listens };
+        let mut lists =
+            Lists { dir, radiance, pdf, control, visibility: None, shown, targets, target: begun.target, listens };
         let weights = (weights, leaves);
         if asked.are_few() {
             let Blocks { first, rest: [rest, _] } = few;
@@ -292,7 +293,8 @@ mod tests {
         let mut draws = Draws::default();
         let Draws { dir, radiance, pdf, control, target: targets, .. } = &mut draws;
         let control = Some(control);
-        let mut lists = Lists { dir, radiance, pdf, control, visibility: None, shown: None, targets, target: 7, listens: true };
+        let mut lists =
+            Lists { dir, radiance, pdf, control, visibility: None, shown: None, targets, target: 7, listens: true };
         let (mut block, mut ahead) = (Block::<N>::default(), Block::default());
         let mut leaves = LeafMemo::default();
         let blocks = [&mut block, &mut ahead];

@@ -4,8 +4,8 @@
 use super::irradiance::{ABOVE, BELOW, Flux, Irradiance, Parts, Sweep};
 use super::lanes::Row;
 use super::normals::Aim;
-use super::wide::Wide;
 use super::sums::{self, Register, sum};
+use super::wide::Wide;
 use crate::random;
 use crate::sampler::preconvolution::{GROUP_LANES, Nine, Preconvolution};
 use crate::simd::Kernel;

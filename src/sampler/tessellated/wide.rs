@@ -99,3 +99,60 @@ impl Kernel for WeighWide<'_> {
         weights.count(rays);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{point, sampler};
+    use crate::bsdf::{Bsdf, Specular};
+    use crate::dome::{Dome, Faults, project::Grid};
+    use crate::sampler::{DomeSampler, Draws, Point};
+    use glam::{DVec3, Vec3};
+    use std::sync::Arc;
+
+    /// What is shown adds up to its integral, and is about what the lobe shows; the density is the one that is asked for later.
+    #[test]
+    fn a_wide_lobe_is_drawn_by_what_it_shows_and_its_integral_is_exact() {
+        let grid = Grid::new(128, 64, 0.0);
+        let texel = |i: usize| [0.1 + (i % 5) as f32, 1.0, if i / 128 < 20 { 6.0 } else { 0.3 }];
+        let dome = Arc::new(Dome { grid, texels: (0..grid.len()).map(texel).collect(), faults: Faults::default() });
+        let mut sampler = sampler(&dome, "tessellated");
+        let mut draws = Draws::default();
+        for normal in [Vec3::Y, Vec3::new(0.48, -0.6, 0.64)] {
+            sampler.draw(&point(normal, 1), 64, &mut draws);
+            // A fence: every third direction is hidden.
+            let occluded: Vec<u8> = (0..draws.target.len()).map(|i| u8::from(i % 3 == 0)).collect();
+            sampler.observe(&draws.target, &occluded);
+        }
+        assert!(!sampler.shows_lobes(), "nothing is known yet");
+        sampler.next_stage();
+        assert!(sampler.shows_lobes());
+        for (normal, alpha, diffuse) in
+            [(Vec3::Y, 1.0, 0.0), (Vec3::Y, 0.36, 0.2), (Vec3::new(0.48, -0.6, 0.64), 0.5, 0.0)]
+        {
+            let f0 = Vec3::new(0.9, 0.6, 0.3);
+            let bsdf = Bsdf { diffuse: Vec3::splat(diffuse), specular: Some(Specular { alpha, f0, f90: 1.0 }) };
+            let wo = (normal + 0.8 * normal.any_orthonormal_vector()).normalize();
+            let what = format!("normal {normal}, α {alpha}, diffuse {diffuse}");
+            let (mut sum, mut squares, mut count) = (DVec3::ZERO, DVec3::ZERO, 0.0);
+            for seed in 0..4000 {
+                let point = Point { wo, bsdf, ..point(normal, seed) };
+                sampler.draw(&point, 64, &mut draws);
+                assert_eq!((draws.shown.len(), draws.control.len()), (draws.dir.len(), draws.dir.len()), "{what}");
+                for (i, dir) in draws.dir.iter().enumerate() {
+                    let (light, pdf) = (draws.radiance.get(i).as_dvec3(), f64::from(draws.pdf[i]));
+                    let value = light * f64::from(draws.control[i] * draws.shown[i]) / pdf;
+                    (sum, squares, count) = (sum + value, squares + value * value, count + 1.0);
+                    if seed == 0 {
+                        let again = sampler.pdf(&point, &draws, dir, dome.grid.texel(dir));
+                        assert!((again / draws.pdf[i] - 1.0).abs() < 1e-4, "{what}: {again}, not {}", draws.pdf[i]);
+                    }
+                }
+            }
+            let mean = sum / count;
+            let error = ((squares / count - mean * mean) / count).map(f64::sqrt);
+            let exact = draws.integral_shown.as_dvec3();
+            assert!(error.cmple(0.01 * exact).all(), "{what}: the standard error {error} says nothing");
+            assert!((mean - exact).abs().cmple(4.0 * error).all(), "{what}: {mean} ± {error} is not {exact}");
+        }
+    }
+}
