@@ -259,7 +259,8 @@ pub trait DomeSampler: Debug + Send + Sync {
     /// The density with which [`Self::draw`] drew `dir`, which lies in `texel`, for the point that `drawn` holds.
     fn pdf(&self, point: &Point, drawn: &Draws, dir: Vec3, texel: u32) -> f32;
 
-    /// Whether [`Self::draw`] goes by what a point's lobe shows as well, if that is wide.
+    /// Whether [`Self::draw`] goes by what a point's lobe shows as well, which has to be wide; one that is not is left out of the
+    /// point that it is asked for.
     fn shows_lobes(&self) -> bool {
         false
     }
