@@ -158,7 +158,12 @@ impl Integrator for Direct {
         let lambert = Lambert { origin: Vec3::ZERO, ng: surface.ng, ns: surface.ns, k };
         // What a ray is traced for here is not dealt out, too.
         let alike = alike.filter(|_| k != Vec3::ZERO && sun.asked.is_none());
-        let post = alike.map(|alike| Post { alike, lambert, expected: k * irradiance });
+        let post = alike.and_then(|alike| {
+            let shares = Shares::new(point, &bsdf, world.sampler);
+            let post = Post { alike, directions: shares.dome, lambert, expected: k * irradiance };
+            // Nor may rays begin where none would be dealt out.
+            shares.are_apart(&bsdf).then_some(post)
+        });
         let glint = match (glint, sun.asked) {
             (Some(of_lobe), Some(sun)) => Some(Glint { radiance: of_lobe.radiance + sun.radiance, ..of_lobe }),
             (of_lobe, sun) => of_lobe.or(sun),
@@ -227,6 +232,11 @@ impl Shares {
         Self { dome, gloss, lobe, all: false }
     }
 
+    /// Whether the specular term has directions of its own, or there is none.
+    fn are_apart(&self, bsdf: &Bsdf) -> bool {
+        bsdf.specular.is_none_or(|lobe| lobe.alpha < NARROW || self.gloss > 0)
+    }
+
     /// The point as the sampler sees it when it draws from the dome.
     fn sampled(&self, point: &Shading<'_>, bsdf: Bsdf) -> Point {
         sampled(point, Bsdf { specular: bsdf.specular.filter(|_| self.all), ..bsdf })
@@ -246,8 +256,7 @@ struct Shade<'a> {
 impl Shade<'_> {
     /// Whether directions drawn by irradiance serve the diffuse term alone.
     fn is_apart(&self) -> bool {
-        let apart = |s: Specular| s.alpha < NARROW || self.shares.gloss > 0;
-        self.bsdf.specular.is_none_or(apart) && !self.world.sampler.needs_partner()
+        self.shares.are_apart(&self.bsdf) && !self.world.sampler.needs_partner()
     }
 
     /// Directions from the dome by irradiance: all of the diffuse term, and the specular one's share.

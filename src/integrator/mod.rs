@@ -63,10 +63,20 @@ pub struct Shading<'a> {
 pub struct Post {
     /// The same for all that may: see [`DomeSampler::expected`].
     pub alike: u64,
+    /// How many directions would be drawn for it: as many for all that may.
+    pub directions: u32,
     /// Its diffuse term.
     pub lambert: Lambert,
     /// What that is taken for, W·m⁻²·sr⁻¹ a channel.
     pub expected: Vec3,
+}
+
+impl Post {
+    /// Whether either one's rays may begin at the other: neither without the other, or the mean moves.
+    #[inline]
+    pub fn may_stand_in_for(&self, other: &Self) -> bool {
+        (self.alike, self.directions) == (other.alike, other.directions)
+    }
 }
 
 /// What a point is taken for.

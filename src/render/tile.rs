@@ -216,7 +216,7 @@ impl Render<'_> {
             if deals {
                 if !shaded {
                     let of = s.posts[first];
-                    post = post.filter(|post| camera.view < rays && of.is_some_and(|of| of.alike == post.alike));
+                    post = post.filter(|post| camera.view < rays && of.is_some_and(|of| post.may_stand_in_for(&of)));
                 }
                 if let Some(Post { lambert: Lambert { origin, ng, .. }, .. }) = &mut post {
                     let (position, error) = place(&surface);

@@ -52,6 +52,26 @@ fn curved_things_by_all_camera_rays() {
     assert_unbiased_by_all_camera_rays(parts, &sun(), 20, 4);
 }
 
+/// Strips of a floor, many to a pixel, of three plastics: their rays are drawn alike, but not all deal theirs out, nor as many.
+/// Were a dark strip's rays to begin at a bright one and the bright one's not at the dark, the floor would be off by far.
+#[test]
+fn plastics_side_by_side_by_all_camera_rays() {
+    let floor = sheet(90, 1, |u, v| Vec3::new(8.0 * u as f32 - 4.0, 0.0, 4.0 - 8.0 * v as f32));
+    let strips = |of: usize| {
+        let indices = floor.indices.chunks(2).skip(of).step_by(3).flatten().copied().collect();
+        Mesh { indices, ..floor.clone() }
+    };
+    let plastic = |roughness, metallic, light: f32| {
+        let base_color = Vec3::splat(light).extend(1.0);
+        Material { roughness, metallic, base_color, ..Material::default() }
+    };
+    let plastics = [plastic(0.9, 0.0, 0.9), plastic(0.3, 0.0, 0.05), plastic(0.3, 0.7, 0.5)];
+    let mut parts = occluders();
+    parts.remove(0);
+    parts.extend(plastics.into_iter().enumerate().map(|(i, plastic)| (strips(i), plastic)));
+    assert_unbiased_by_all_camera_rays(parts, &soft(), 20, 6);
+}
+
 /// The variance of a ball by one camera ray for each sample, and by eight.
 fn ball_by_one_and_eight(material: Material, dome: &Arc<Dome>) -> [f64; 2] {
     let stage = Stage::new(vec![(ball(), material)]);
