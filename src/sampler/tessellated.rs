@@ -146,7 +146,7 @@ pub struct Tessellated {
     table: Vec<OnceLock<Irradiance>>,
     /// What surfaces are expected to receive; empty without a cache.
     expected: Expected,
-    /// Suns that lobes may show; empty without gloss or a cache.
+    /// Suns: what lobes may show as glints, and what one asks for along its shadow; empty without a cache.
     glints: Glints,
     prepare_s: f64,
 }
