@@ -12,21 +12,21 @@
 //! place in the pixel: these directions are dealt out to all camera rays of a sample ([`Integrator::mirrored`]).
 //! What a wider lobe shows is expected of all camera rays: from about where the viewer's mirror image is, or if it is so wide
 //! that it hardly matters, from the normal's side. A sun shows in few of a pixel's places: what it adds there is known to all
-//! camera rays, but whether it arrives, which each asks with a ray ([`Expected::glint`]). Where a sun's shadow may end, they
-//! ask for all that it adds (`sun`).
+//! camera rays, but whether it arrives, which each asks with a ray ([`Expected::glint`]). Where the shadow of the dome's one sun
+//! may end, all that it adds is left to rays of their own (`sun`).
 
 use super::gloss::Gloss;
 use super::lambert::Lambert;
 use super::lobe::{Lobe, Look, Propose, Proposed};
-use super::sun::Sun;
-use super::{Among, Expected, Integrator, MakeIntegrator, Post, Queue, Shading, World};
+use super::sun::{self, Sun};
+use super::{Among, Expected, Integrator, MakeIntegrator, Post, Queue, Shading, Sunrays, World};
 use crate::accel::Ray;
 use crate::bsdf::{Bsdf, Specular};
 use crate::dome::Dome;
 use crate::random;
 use crate::registry::Plugin;
 use crate::sampler::shadow_cache::NO_TARGET;
-use crate::sampler::{DomeSampler, Draws, Expectation, Glint, Numbers, Point};
+use crate::sampler::{DomeSampler, Draws, Expectation, Numbers, Point};
 use crate::scene::{Surface, offset_origin};
 use crate::simd::{dispatch, prefetch};
 use glam::Vec3;
@@ -118,11 +118,27 @@ impl Integrator for Direct {
         shade.lobe(draws, queue);
     }
 
+    fn sunlit(
+        &self,
+        world: &World<'_>,
+        point: &Shading<'_>,
+        Sunrays { numbers, rays, views }: Sunrays,
+        draws: &mut Draws,
+        queue: &mut Queue,
+    ) -> f32 {
+        let bsdf = Bsdf::new(point.surface, point.wo);
+        // A lobe with directions of its own finds the sun by them.
+        let apart = Shares::new(point, &bsdf, world.sampler).are_apart(&bsdf);
+        let bsdf = Bsdf { specular: bsdf.specular.filter(|_| !apart), ..bsdf };
+        world.sampler.draw_sun(&Point { numbers, ..sampled(point, bsdf) }, rays, draws);
+        sun::queue(point, &bsdf, 1.0 / (rays * views) as f32, draws, queue)
+    }
+
     fn expects(&self, sampler: &dyn DomeSampler) -> bool {
         sampler.expects()
     }
 
-    fn expected(&self, world: &World<'_>, point: &Shading<'_>, view: u32, draws: &mut Draws) -> Expected {
+    fn expected(&self, world: &World<'_>, point: &Shading<'_>, own: Numbers, draws: &mut Draws) -> Expected {
         let surface = point.surface;
         if surface.unlit {
             return Expected { radiance: surface.base_color, ..Expected::default() };
@@ -135,8 +151,10 @@ impl Integrator for Direct {
             return Expected { radiance: surface.emission, ..Expected::default() };
         }
         let sampled = sampled(point, bsdf);
-        let glint = lobe.filter(|lobe| !is_dull(&bsdf, lobe, cosine)).and_then(|lobe| {
-            let glint = world.sampler.glint(&sampled, &lobe, view);
+        let shares = Shares::new(point, &bsdf, world.sampler);
+        let apart = shares.are_apart(&bsdf);
+        let glint = lobe.filter(|_| apart || shares.all).and_then(|lobe| {
+            let glint = world.sampler.glint(&sampled, &lobe, own);
             // A wide lobe shows windows on all sides: what the sampler knows of each says more than whether one arrives.
             glint.filter(|glint| lobe.alpha < WIDE || glint.together > TOGETHER)
         });
@@ -148,35 +166,32 @@ impl Integrator for Direct {
         let by_mirror_image = glint.is_some() || lobe.is_some_and(|lobe| lobe.alpha < WIDE);
         let k = bsdf.diffuse * FRAC_1_PI;
         let (mut of_body, mut sun) = (irradiance, Sun::default());
-        if let Some(sunlight) = sunlight.filter(|_| k != Vec3::ZERO) {
-            sun = Sun::new(&sunlight, irradiance, surface, point.wo, &bsdf, lobe.filter(|_| !by_mirror_image));
+        if let Some(sunlight) = sunlight.filter(|_| k != Vec3::ZERO || !apart) {
+            sun = Sun::new(&sunlight, irradiance, point, lobe.filter(|_| !by_mirror_image));
             of_body -= sunlight.visible * sunlight.irradiance;
             irradiance = of_body + sun.granted;
         }
         let of_body = if by_mirror_image { towards } else { of_body };
         let shown = body * of_body + rim * towards;
         let lambert = Lambert { origin: Vec3::ZERO, ng: surface.ng, ns: surface.ns, k };
-        // What a ray is traced for here is not dealt out, too.
-        let alike = alike.filter(|_| k != Vec3::ZERO && sun.asked.is_none());
-        let post = alike.and_then(|alike| {
-            let shares = Shares::new(point, &bsdf, world.sampler);
-            let post = Post { alike, directions: shares.dome, lambert, expected: k * irradiance };
-            // Nor may rays begin where none would be dealt out.
-            shares.are_apart(&bsdf).then_some(post)
+        // Rays may begin only where they would be dealt out, too.
+        let post = alike.filter(|_| k != Vec3::ZERO && apart).map(|alike| Post {
+            alike: (alike, sun.worth.is_some()),
+            directions: shares.dome,
+            lambert,
+            expected: k * irradiance,
         });
-        let glint = match (glint, sun.asked) {
-            (Some(of_lobe), Some(sun)) => Some(Glint { radiance: of_lobe.radiance + sun.radiance, ..of_lobe }),
-            (of_lobe, sun) => of_lobe.or(sun),
-        };
+        // Rays to the sun are for all that it adds.
+        let glint = glint.filter(|_| apart || sun.worth.is_none());
         let radiance = surface.emission + (bsdf.diffuse * irradiance + shown) * FRAC_1_PI + sun.shown;
-        Expected { radiance, post, glint }
+        Expected { radiance, post, glint, sunrays: sun.worth }
     }
 }
 
 /// The point as the sampler sees it.
 fn sampled(point: &Shading<'_>, bsdf: Bsdf) -> Point {
-    let &Shading { pixel, distance, wo, surface, numbers, .. } = point;
-    Point { pixel, distance, ng: surface.ng, ns: surface.ns, wo, bsdf, numbers }
+    let &Shading { pixel, distance, wo, surface, sunless, numbers, .. } = point;
+    Point { pixel, distance, ng: surface.ng, ns: surface.ns, wo, bsdf, sunless, numbers }
 }
 
 /// How much of what is reflected a lobe reflects.
@@ -184,11 +199,6 @@ fn shine(bsdf: &Bsdf, lobe: &Specular, cosine: f32) -> f32 {
     let weight = |albedo: Vec3| Dome::weight(albedo.to_array());
     let specular = weight(lobe.fresnel(cosine)).max(f32::MIN_POSITIVE);
     specular / (weight(bsdf.diffuse) + specular)
-}
-
-/// Whether a lobe is wide and reflects little: the diffuse term's directions show it, too.
-fn is_dull(bsdf: &Bsdf, lobe: &Specular, cosine: f32) -> bool {
-    lobe.alpha >= WIDE && shine(bsdf, lobe, cosine) < LEAST
 }
 
 /// How many rays go where.
@@ -220,7 +230,8 @@ impl Shares {
             let lobe = ((rays as f32 * LEAST * (1.0 + shine)).round() as u32).max(1);
             return Self { dome: rays.saturating_sub(lobe).max(1), gloss: 0, lobe, all: false };
         }
-        let dull = is_dull(bsdf, lobe, cosine);
+        // Such a lobe is dull: the diffuse term's directions show it, too.
+        let dull = lobe.alpha >= WIDE && shine < LEAST;
         if dull || lobe.alpha >= WIDE && sampler.shows_lobes() {
             return Self { dome: rays, gloss: 0, lobe: 0, all: !dull };
         }
@@ -430,7 +441,16 @@ mod tests {
             unlit: false,
         };
         let numbers = Numbers { seed: 0, sample: 0 };
-        let point = Shading { pixel: [0; 2], distance: 1.0, wo: Vec3::Z, surface: &surface, numbers, rays, posts: &[] };
+        let point = Shading {
+            pixel: [0; 2],
+            distance: 1.0,
+            wo: Vec3::Z,
+            surface: &surface,
+            numbers,
+            rays,
+            sunless: false,
+            posts: &[],
+        };
         Shares::new(&point, &Bsdf::new(&surface, Vec3::Z), sampler)
     }
 

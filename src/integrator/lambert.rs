@@ -239,7 +239,7 @@ mod tests {
             // Something stands before it in the queue.
             queue.push(Ray::new(Vec3::ZERO, Vec3::X), Vec3::ONE);
             queue.targets.push(9);
-            let post = |lambert, expected| Post { alike: 1, directions: 1, lambert, expected };
+            let post = |lambert, expected| Post { alike: (1, false), directions: 1, lambert, expected };
             let own = post(point, Vec3::ONE);
             let posts = [Some(own), None, deal.map(|deal| post(deal, Vec3::splat(0.25))), None];
             let hand = queue.dealt.deal(&own, &posts, count as usize, None);

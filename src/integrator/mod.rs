@@ -54,6 +54,8 @@ pub struct Shading<'a> {
     pub numbers: Numbers,
     /// Shadow rays at most.
     pub rays: u32,
+    /// Whether the dome's sun has rays of its own: [`Expected::sunrays`].
+    pub sunless: bool,
     /// What all of its sample's camera rays met, the point itself first, as far as rays may begin there; empty if it is alone.
     pub posts: &'a [Option<Post>],
 }
@@ -61,8 +63,8 @@ pub struct Shading<'a> {
 /// A point that rays drawn for another one of its sample may begin at.
 #[derive(Debug, Clone, Copy)]
 pub struct Post {
-    /// The same for all that may: see [`DomeSampler::expected`].
-    pub alike: u64,
+    /// The same for all that may: see [`DomeSampler::expected`], and whether the sun has rays of its own.
+    pub alike: (u64, bool),
     /// How many directions would be drawn for it: as many for all that may.
     pub directions: u32,
     /// Its diffuse term.
@@ -90,6 +92,9 @@ pub struct Expected {
     /// What it shows beside if a ray in this direction arrives, which one is to be traced for: any function, too, of random
     /// numbers that differ from camera ray to camera ray.
     pub glint: Option<Glint>,
+    /// If what the dome's sun adds is to be had from rays of its own ([`Integrator::sunlit`]): how many that is worth over all of
+    /// the sample's camera rays, by how many others these have.
+    pub sunrays: Option<f32>,
 }
 
 /// A camera ray among those of its sample.
@@ -101,6 +106,17 @@ pub struct Among {
     pub views: u32,
     /// Whether each has rays of its own, even where there are fewer to be dealt out.
     pub each: bool,
+}
+
+/// What one of a sample's camera rays traces towards the dome's sun.
+#[derive(Debug, Clone, Copy)]
+pub struct Sunrays {
+    /// Its own numbers.
+    pub numbers: Numbers,
+    /// Its rays.
+    pub rays: u32,
+    /// Camera rays of the sample, each of which counts as much.
+    pub views: u32,
 }
 
 /// Shadow rays waiting to be traced.
@@ -201,10 +217,16 @@ pub trait Integrator: Debug + Send + Sync {
         false
     }
 
-    /// What the point that a camera ray met (`view`, among its sample's) is taken for where no shadow ray is traced. `draws` is
-    /// scratch.
-    fn expected(&self, _world: &World<'_>, _point: &Shading<'_>, _view: u32, _draws: &mut Draws) -> Expected {
+    /// What the point that a camera ray met is taken for where no shadow ray is traced, but for what it asks for; `own` are numbers
+    /// of this camera ray alone. `draws` is scratch.
+    fn expected(&self, _world: &World<'_>, _point: &Shading<'_>, _own: Numbers, _draws: &mut Draws) -> Expected {
         Expected::default()
+    }
+
+    /// Queues rays for what the dome's sun adds to a point that is [`Shading::sunless`]; returns the luminance of all that they
+    /// carry. `draws` is scratch.
+    fn sunlit(&self, _: &World<'_>, _: &Shading<'_>, _: Sunrays, _draws: &mut Draws, _: &mut Queue) -> f32 {
+        0.0
     }
 
     /// Whether [`Self::shade`] leaves a surface's reflections to [`Self::mirrored`].

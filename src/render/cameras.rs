@@ -41,6 +41,12 @@ impl CameraSample {
         self.view == 0
     }
 
+    /// Numbers of its own, stratified together with all of its pixel's; as its sample's they depend on nothing that was learned
+    /// from others.
+    pub(super) fn own(&self) -> Numbers {
+        Numbers { seed: random::combine(self.numbers.seed, 0x5b5b), sample: self.place }
+    }
+
     pub(super) fn among(&self, pass: &Pass) -> Among {
         Among { view: self.view, views: self.views, each: pass.looks.about }
     }

@@ -1,7 +1,7 @@
 //! A queue of shadow rays is traced: what arrives, and what the sampler learns from it.
 
 use super::Counts;
-use super::tile::{GLINT, MIRRORED, Scratch};
+use super::tile::{GLINT, MIRRORED, SUN, Scratch, Sunny};
 use crate::dome::Dome;
 use crate::integrator::{World, visibility};
 use crate::simd::{Kernel, dispatch};
@@ -15,7 +15,12 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
     // Layers first: what is hidden is forgotten below.
     let mut first = 0;
     for &(sample, rays) in &queue.samples {
-        let camera = camera(sample, &s.mirrored, &s.glints);
+        // What is expected of it is among the light that is known of the shaded ones.
+        if sample & GLINT != 0 {
+            first += rays as usize;
+            continue;
+        }
+        let camera = camera(sample, &s.mirrored, &s.glints, &s.suns);
         let Some(aovs) = &mut s.samples[camera].aovs else { break };
         let views = s.cameras.samples[camera].views as f32;
         for i in first..first + rays as usize {
@@ -36,14 +41,15 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
     for &(sample, rays) in &queue.samples {
         let of_sample = first..first + rays as usize;
         let arrived = [r, g, b].map(|row| row[of_sample.clone()].iter().sum::<f32>());
-        let camera = camera(sample, &s.mirrored, &s.glints);
+        let camera = camera(sample, &s.mirrored, &s.glints, &s.suns);
         if let Some(weight) = s.cameras.weights.get(camera) {
             let most = [r, g, b].into_iter().flat_map(|row| &row[of_sample.clone()]).fold(0.0, |a: f32, &b| a.max(b));
             counts.max_weight = counts.max_weight.max(most * weight);
         }
-        let to = match sample & (MIRRORED | GLINT) {
+        let to = match sample & (MIRRORED | GLINT | SUN) {
             0 => &mut s.samples[camera].radiance,
             GLINT => &mut s.glints[(sample & !GLINT) as usize].1,
+            SUN => &mut s.suns[(sample & !SUN) as usize].arrived,
             _ => &mut s.mirrored[(sample & !MIRRORED) as usize].1,
         };
         *to += s.cameras.samples[camera].views as f32 * Vec3::from(arrived);
@@ -55,10 +61,11 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
 }
 
 /// The camera ray that a queue's sample is.
-fn camera(sample: u32, mirrored: &[(u32, Vec3)], glints: &[(u32, Vec3)]) -> usize {
-    match sample & (MIRRORED | GLINT) {
+fn camera(sample: u32, mirrored: &[(u32, Vec3)], glints: &[(u32, Vec3)], suns: &[Sunny]) -> usize {
+    match sample & (MIRRORED | GLINT | SUN) {
         0 => sample as usize,
         GLINT => glints[(sample & !GLINT) as usize].0 as usize,
+        SUN => suns[(sample & !SUN) as usize].sample as usize,
         _ => mirrored[(sample & !MIRRORED) as usize].0 as usize,
     }
 }

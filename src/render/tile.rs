@@ -4,8 +4,9 @@
 //! C, and the shaded ones how it is wrong, I − C. The mean of C over all and of I − C over the shaded is unbiased whatever C
 //! is, and edges, textures and bumps inside a pixel are seen by cheap rays ([`Integrator::expected`]). Where it pays,
 //! a shaded sample's own rays begin at all of them that may stand in for it ([`Post`]). What mirrors show is traced by all of
-//! them, each its share of the rays ([`Integrator::mirrored`]). Where a sun glints, or its shadow may end, each traces a ray
-//! for it, and what arrives is part of C ([`Expected::glint`](crate::integrator::Expected::glint)).
+//! them, each its share of the rays ([`Integrator::mirrored`]); so is what the dome's sun adds where its shadow may end, which
+//! the shaded ones' other rays then leave out ([`Integrator::sunlit`]). Where a sun glints, each traces a ray for it, and what
+//! arrives is part of C ([`Expected::glint`](crate::integrator::Expected::glint)).
 //!
 //! Where a sun shows in a spot of a pixel, further samples are aimed at that (`spots`), and all are weighed (`cameras`).
 
@@ -20,7 +21,7 @@ use crate::dome::Dome;
 use crate::dome::project::Grid;
 use crate::film::{AovSample, Part, Sample};
 use crate::integrator::visibility::{self, nearest};
-use crate::integrator::{Lambert, Post, Queue, Shading, World};
+use crate::integrator::{Lambert, Post, Queue, Shading, Sunrays, World};
 use crate::random;
 use crate::sampler::shadow_cache::NO_TARGET;
 use crate::sampler::{DomeSampler, Draws, Numbers};
@@ -149,6 +150,7 @@ impl Render<'_> {
         s.expected.clear();
         s.mirrored.clear();
         s.glints.clear();
+        s.suns.clear();
         s.posts.clear();
         s.saved.clear();
         let gloss = self.scene.needs.gloss;
@@ -164,9 +166,10 @@ impl Render<'_> {
         let mut waiting = None;
         for i in 0..s.rays.len() {
             let camera = s.cameras.samples[i];
-            let CameraSample { pixel, numbers, views, deals, .. } = camera;
+            let CameraSample { views, deals, .. } = camera;
             let shaded = camera.is_shaded();
-            let (ray, hit) = (&s.rays[i], &s.hits[i]);
+            let (ray, hit) = (s.rays[i], s.hits[i]);
+            let (ray, hit) = (&ray, &hit);
             if !hit.is_hit() {
                 let sample = self.miss(s.sky.get(sky).copied());
                 sky += 1;
@@ -192,21 +195,21 @@ impl Render<'_> {
                 (surface.position, surface.error) = self.scene.place(&refined());
             }
             let rays = self.settings.rays;
-            let point = Shading { pixel, distance: hit.t, wo: -ray.dir, surface: &surface, numbers, rays, posts: &[] };
             let mut radiance = Vec3::ZERO;
             let first = s.posts.len() - if deals { camera.view as usize } else { 0 };
-            let mut post = None;
+            let (mut post, mut sunrays) = (None, None);
             if views > 1 {
-                let expected = self.integrator.expected(world, &point, camera.view, &mut s.draws);
-                (radiance, post) = (expected.radiance, expected.post);
+                let point = shading(&camera, ray, hit, &surface, rays);
+                let expected = self.integrator.expected(world, &point, camera.own(), &mut s.draws);
+                (radiance, post, sunrays) = (expected.radiance, expected.post, expected.sunrays);
+                if sunrays.is_some() {
+                    (surface.position, surface.error) = place(&surface);
+                }
                 if let Some(glint) = expected.glint {
                     let (position, error) = place(&surface);
                     let origin = offset_origin(position, error, surface.ng, glint.dir);
-                    s.queue.sample = i as u32;
-                    if shaded {
-                        s.queue.sample = GLINT | s.glints.len() as u32;
-                        s.glints.push((i as u32, Vec3::ZERO));
-                    }
+                    s.queue.sample = GLINT | s.glints.len() as u32;
+                    s.glints.push((i as u32, Vec3::ZERO));
                     s.queue.push(Ray::new(origin, glint.dir), glint.radiance / views as f32);
                     if world.sampler.listens() {
                         s.queue.targets.push(NO_TARGET);
@@ -232,16 +235,31 @@ impl Render<'_> {
                 light: [0.0; 2],
             });
             s.samples.push(Sample { radiance, alpha: 1.0, aovs });
+            let sunless = sunrays.is_some();
+            let point = Shading { sunless, ..shading(&camera, ray, hit, &surface, rays) };
             if shaded {
                 s.expected.push(radiance);
                 self.integrator.begin(world, &point, &mut s.draws);
-                let next = Waiting { sample: i, posts: first, distance: hit.t, surface, mirrors };
+                let next = Waiting { sample: i, posts: first, distance: hit.t, surface, sunless, mirrors };
                 if let Some(before) = waiting.replace(next) {
                     self.shade(world, pass, &before, s, counts);
                 }
             } else if mirrors {
                 s.queue.sample = i as u32;
                 self.integrator.mirrored(world, &point, camera.among(pass), &mut s.draws, &mut s.queue);
+            }
+            if let Some(worth) = sunrays {
+                // Samples one after another, wherever chunks end: what is learned depends on the order.
+                let before = waiting.take_if(|waiting| waiting.sample < i - camera.view as usize);
+                if let Some(before) = before {
+                    self.shade(world, pass, &before, s, counts);
+                }
+                let rays_of_all = ((worth * rays as f32) as u32).max(1);
+                let sunrays = Sunrays { numbers: camera.own(), rays: rays_of_all.div_ceil(views), views };
+                s.queue.sample = SUN | s.suns.len() as u32;
+                let all = self.integrator.sunlit(world, &point, sunrays, &mut s.draws, &mut s.queue);
+                let (sample, all) = (i as u32, views as f32 * all);
+                s.suns.push(Sunny { sample, rays: sunrays.rays, all, arrived: Vec3::ZERO });
             }
         }
         if let Some(last) = waiting {
@@ -254,10 +272,14 @@ impl Render<'_> {
         for &(sample, mirrored) in &s.mirrored {
             s.samples[sample as usize].radiance += mirrored;
         }
+        for sun in &s.suns {
+            s.samples[sun.sample as usize].radiance += sun.arrived;
+        }
         for &(sample, glint) in &s.glints {
+            let camera = &s.cameras.samples[sample as usize];
             // It was expected of the shaded one as of the others, and is known.
-            let others = (s.cameras.samples[sample as usize].views - 1) as f32;
-            s.samples[sample as usize].radiance -= others * glint;
+            let counts = if camera.is_shaded() { 1.0 - camera.views as f32 } else { 1.0 };
+            s.samples[sample as usize].radiance += counts * glint;
         }
         for (value, weight) in s.samples.iter_mut().zip(&s.cameras.weights) {
             value.radiance *= *weight;
@@ -282,6 +304,7 @@ impl Render<'_> {
         let mut first = 0;
         let mut mirrors = s.mirrored.iter().peekable();
         let mut glints = s.glints.iter().peekable();
+        let mut suns = s.suns.iter().peekable();
         let mut saved = s.saved.iter().peekable();
         let mut notes = seen.notes();
         for &expected in &s.expected {
@@ -290,15 +313,29 @@ impl Render<'_> {
             s.lights.clear();
             s.lights.extend(of_sample.iter().map(|sample| light(sample.radiance)));
             // The first one holds what its rays have brought once for each.
-            let shown = mirrors.next_if(|mirrored| mirrored.0 as usize == first).map_or(expected, |m| expected + m.1);
-            let known = light(shown) + (s.lights[0] - light(expected)) / views as f32;
-            let glint = glints.next_if(|glint| glint.0 as usize == first).map_or(Vec3::ZERO, |glint| glint.1);
-            s.lights[0] = light(shown + glint);
+            let mut shown =
+                mirrors.next_if(|mirrored| mirrored.0 as usize == first).map_or(expected, |m| expected + m.1);
+            let beside = (s.lights[0] - light(expected)) / views as f32;
+            let (of, mut noise) = (first as u32..first as u32 + views, 0.0);
+            while let Some(&Sunny { sample, rays, all, arrived }) = suns.next_if(|sun| of.contains(&sun.sample)) {
+                if sample as usize == first {
+                    shown += arrived;
+                }
+                s.lights[sample as usize - first] += light(arrived);
+                // Each ray carries about the same.
+                noise += light(arrived) * (all - light(arrived)) / (rays - 1).max(1) as f32;
+            }
+            let known = light(shown) + beside;
+            s.lights[0] = light(shown);
+            while let Some(&(sample, glint)) = glints.next_if(|glint| of.contains(&glint.0)) {
+                s.lights[sample as usize - first] += light(glint);
+            }
             let saved = saved.next_if(|saved| saved.0 as usize == first).map_or(0.0, |saved| saved.1);
             let (traced, saved) = (s.hits[first].is_hit(), noted.then_some(saved));
             // Beside samples that are aimed others weigh less the brighter they are: such pixels are no measure.
             if !spotted {
-                notes.take_in(pixel, Seen { expected: &s.lights, known, traced, dealt, saved });
+                let noise = noise / views as f32;
+                notes.take_in(pixel, Seen { expected: &s.lights, known, noise, traced, dealt, saved });
             }
             first += views as usize;
         }
@@ -306,13 +343,13 @@ impl Render<'_> {
 
     /// Shades a sample: what it is expected to be makes way for what is known, and for what its rays will bring.
     fn shade(&self, world: &World<'_>, pass: &Pass, waiting: &Waiting, s: &mut Scratch, counts: &mut Counts) {
-        let &Waiting { sample, posts, distance, ref surface, mirrors } = waiting;
+        let &Waiting { sample, posts, distance, ref surface, sunless, mirrors } = waiting;
         let camera = s.cameras.samples[sample];
         let CameraSample { pixel, numbers, views, deals, noted, .. } = camera;
         let posts = &s.posts[posts..][..if deals { views as usize } else { 0 }];
         let views = views as f32;
         let rays = self.settings.rays;
-        let point = Shading { pixel, distance, wo: -s.rays[sample].dir, surface, numbers, rays, posts };
+        let point = Shading { pixel, distance, wo: -s.rays[sample].dir, surface, numbers, rays, sunless, posts };
         s.queue.sample = sample as u32;
         s.queue.notes = noted;
         let (rays_before, hidden_before) = (s.queue.targets.len(), s.queue.hidden.len());
@@ -354,11 +391,31 @@ impl Render<'_> {
     }
 }
 
+/// The point that a camera ray has met.
+fn shading<'a>(camera: &CameraSample, ray: &Ray, hit: &Hit, surface: &'a Surface, rays: u32) -> Shading<'a> {
+    let &CameraSample { pixel, numbers, .. } = camera;
+    Shading { pixel, distance: hit.t, wo: -ray.dir, surface, numbers, rays, sunless: false, posts: &[] }
+}
+
 /// Set in a queue's sample where its rays are for what it mirrors: an index of `mirrored`.
 pub(super) const MIRRORED: u32 = 1 << 31;
 
 /// The same for what glints there: an index of `glints`.
 pub(super) const GLINT: u32 = 1 << 30;
+
+/// The same for what its sun adds: an index of `suns`.
+pub(super) const SUN: u32 = 1 << 29;
+
+/// What the dome's sun adds where a camera ray looks.
+#[derive(Debug)]
+pub(super) struct Sunny {
+    /// The camera ray.
+    pub(super) sample: u32,
+    /// Its rays there, the luminance of all that they carry, and what of it arrives.
+    rays: u32,
+    all: f32,
+    pub(super) arrived: Vec3,
+}
 
 /// Directions treated together.
 const LANES: usize = 16;
@@ -392,6 +449,7 @@ struct Waiting {
     /// From the camera, metres.
     distance: f32,
     surface: Surface,
+    sunless: bool,
     mirrors: bool,
 }
 
@@ -413,8 +471,10 @@ pub(super) struct Scratch {
     expected: Vec<Vec3>,
     /// Which of these mirror something, and what.
     pub(super) mirrored: Vec<(u32, Vec3)>,
-    /// Which of them show a glint, and what of that arrives.
+    /// Which camera rays show a glint, and what of that arrives.
     pub(super) glints: Vec<(u32, Vec3)>,
+    /// What the sun adds to those that have rays for it.
+    pub(super) suns: Vec<Sunny>,
     /// What dealing out the rays of shaded ones saves: see [`Queue::saved`].
     pub(super) saved: Vec<(u32, f32)>,
     lights: Vec<f32>,

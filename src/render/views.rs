@@ -8,7 +8,7 @@
 //! in stripes finer than what is learned); V the part of D's variance that n camera rays divide by n if shadow rays are dealt
 //! out to them; and R what else is left of that variance. (Not of D²: where little is expected of what shines, D is nearly
 //! all the light and nearly the same for all samples of a pixel.) n camera rays leave an error of R + V + W/n, or with dealing
-//! R + (V + W)/n. In the mean over a pixel's N samples, whose places are stratified together, V and W fall as N^-3/2, as where
+//! R + (V + W)/n. (What a sun's rays err by, which all camera rays of a sample share, is part of R.) In the mean over a pixel's N samples, whose places are stratified together, V and W fall as N^-3/2, as where
 //! an edge goes through the pixel, R as N^-5/4, as was measured. With a sample's shadow rays at the price of a camera rays, n
 //! of these cost a + n; where nothing is hit, n alone. What counts is the whole image's error times its whole price: least
 //! where a further camera ray takes the same share off the error everywhere that it adds to the price. But an error is seen
@@ -78,6 +78,9 @@ pub(super) struct Seen<'a> {
     pub(super) expected: &'a [f32],
     /// What the first of them turned out to be.
     pub(super) known: f32,
+    /// The variance, in the mean, of what each expects by how few rays it has traced for a sun: these are shared out, as many in
+    /// all whatever the number of camera rays.
+    pub(super) noise: f32,
     /// Whether that one traced shadow rays.
     pub(super) traced: bool,
     /// Whether these were dealt out.
@@ -199,8 +202,9 @@ pub(super) struct Notes<'a> {
 struct Pixel {
     at: [u32; 2],
     samples: f32,
-    /// Σ of the variance of C.
+    /// Σ of the variance of C between places, and of its mean's by suns' rays.
     differs: f32,
+    noise: f32,
     /// Σ D, Σ D².
     beside: f32,
     square: f32,
@@ -217,7 +221,7 @@ struct Pixel {
 impl Notes<'_> {
     /// Takes in a sample of a pixel.
     pub(super) fn take_in(&mut self, pixel: [u32; 2], sample: Seen<'_>) {
-        let Seen { expected, known, traced, dealt, saved } = sample;
+        let Seen { expected, known, noise, traced, dealt, saved } = sample;
         let count = expected.len() as f32;
         let mean = expected.iter().sum::<f32>() / count;
         let light = expected.iter().map(|c| c * c).sum::<f32>() / count + known * known;
@@ -246,6 +250,8 @@ impl Notes<'_> {
         let out = 2.0 * count / (count - 1.0) * (expected[0] - mean);
         of_pixel.samples += 1.0;
         of_pixel.differs += expected.iter().map(|c| (c - mean) * (c - mean)).sum::<f32>() / (count - 1.0);
+        of_pixel.noise += noise / count;
+        of_pixel.differs -= noise;
         of_pixel.beside += beside;
         of_pixel.square += beside * beside;
         of_pixel.out += out;
@@ -261,7 +267,8 @@ impl Notes<'_> {
 
     /// Adds the pixel's samples to their region's.
     fn end_pixel(&mut self) {
-        let Pixel { samples: n, differs, beside, square, out, product, saved, light, .. } = mem::take(&mut self.pixel);
+        let Pixel { samples: n, differs, noise, beside, square, out, product, saved, light, .. } =
+            mem::take(&mut self.pixel);
         if n > 0.0 {
             // What D is in the pixel's mean is no noise, the correction of what is expected is meant to bring it. Of a single
             // sample it is not known.
@@ -273,7 +280,7 @@ impl Notes<'_> {
                 false => (square, product),
             };
             // Without light there is no number, which counts nothing; the sample has its price.
-            let more = [differs + product, square, saved].map(|sum| (sum / light * n * ONE) as i64);
+            let more = [differs + product, square + noise, saved].map(|sum| (sum / light * n * ONE) as i64);
             for (sum, more) in self.sums.iter_mut().zip(more) {
                 *sum += more;
             }
@@ -327,9 +334,11 @@ mod tests {
     use super::*;
 
     const NOISY: [f32; 3] = [0.15, 0.1, 0.0];
+    const FLAT: Seen<'_> =
+        Seen { expected: &[1.0, 1.0], known: 1.0, noise: 0.0, traced: true, dealt: false, saved: None };
 
     fn take_in(views: &Views, pixel: [u32; 2], expected: &[f32], known: f32) {
-        views.notes().take_in(pixel, Seen { expected, known, traced: true, dealt: false, saved: None });
+        views.notes().take_in(pixel, Seen { expected, known, ..FLAT });
     }
 
     /// Takes in a hundred samples of a region: what they expect is 1 ± `between`, turns out `beside` more; one in `traced` has
@@ -343,7 +352,7 @@ mod tests {
             // Of two that are alike one is noted.
             let (dealt, saved) = (saves > 0.0, (saves > 0.0 && i % 4 < 2).then_some(saves));
             let expected = &[1.0 + between, 1.0 - between];
-            notes.take_in([x + i % REGION, 0], Seen { expected, known, traced, dealt, saved });
+            notes.take_in([x + i % REGION, 0], Seen { expected, known, traced, dealt, saved, ..FLAT });
         }
     }
 
@@ -434,7 +443,7 @@ mod tests {
     fn a_background_has_as_many_as_pay_for_the_image() {
         let background = |views: &Views| {
             for i in 0..100 {
-                let sample = Seen { expected: &[1.0, 0.9], known: 1.0, traced: false, dealt: false, saved: None };
+                let sample = Seen { expected: &[1.0, 0.9], traced: false, ..FLAT };
                 views.notes().take_in([i % REGION, 0], sample);
             }
         };
@@ -457,7 +466,7 @@ mod tests {
             for i in 0..400 {
                 let [place, ray] = [i / 2 % 2, i % 2].map(|side| if side == 0 { 0.03 } else { -0.03 });
                 let (expected, known) = (&[place, -place], 1.0 + place + noise * ray);
-                notes.take_in([i / 4 % REGION, 0], Seen { expected, known, traced: true, dealt: false, saved: None });
+                notes.take_in([i / 4 % REGION, 0], Seen { expected, known, ..FLAT });
             }
             drop(notes);
             views.settle();
@@ -465,6 +474,26 @@ mod tests {
         };
         // W = 2·0.03², of the four samples of a pixel R = 4/3 (0.03 · noise)²: n² = 28.5/noise².
         assert_eq!([0.0, 0.5, 1.0, 10.0].map(of), [MOST, 8, 4, 1]);
+    }
+
+    /// What each expects differs by the few rays that it has traced for a sun, and by nothing else: with as many rays in all, fewer
+    /// places would do.
+    #[test]
+    fn what_a_suns_rays_differ_by_is_no_difference_between_places() {
+        let of = |known_noise: f32| {
+            let mut views = Views::new([REGION, REGION], 1, 16);
+            let mut notes = views.notes();
+            for i in 0..100 {
+                let at = if i % 2 == 0 { 0.1 } else { -0.1 };
+                let sample = Seen { expected: &[1.0 + at, 1.0 - at], known: 1.0 + at, noise: known_noise, ..FLAT };
+                notes.take_in([i % REGION, 0], sample);
+            }
+            drop(notes);
+            views.settle();
+            views.of([0, 0]).views
+        };
+        // W = 2·0.1², all of it.
+        assert_eq!([0.0, 0.02].map(of), [MOST, 1]);
     }
 
     /// As much noise for its light at a hundredth of the light: the image's logarithmic mean is ten times that. And so on.

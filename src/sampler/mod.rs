@@ -44,6 +44,8 @@ pub struct Point {
     pub wo: Vec3,
     /// How it reflects.
     pub bsdf: Bsdf,
+    /// Whether directions to the dome's sun are left out of its draws: it has them from [`DomeSampler::draw_sun`].
+    pub sunless: bool,
     /// Which numbers it is given.
     pub numbers: Numbers,
 }
@@ -303,9 +305,15 @@ pub trait DomeSampler: Debug + Send + Sync {
         Expectation::default()
     }
 
+    /// Draws `n` directions to the dome's sun by its light into `out`: what [`Expectation::sunlight`] is about, and what draws
+    /// for a point that is [`Point::sunless`] leave out. None where there is none.
+    fn draw_sun(&self, _point: &Point, _n: u32, out: &mut Draws) {
+        out.clear();
+    }
+
     /// About what a specular lobe shows of what outshines the rest of the dome, if that is notable: a function of the point
-    /// and of random numbers that differ from camera ray to camera ray (`view`) of the sample.
-    fn glint(&self, _point: &Point, _lobe: &Specular, _view: u32) -> Option<Glint> {
+    /// and of random numbers of its own.
+    fn glint(&self, _point: &Point, _lobe: &Specular, _own: Numbers) -> Option<Glint> {
         None
     }
 

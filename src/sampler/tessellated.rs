@@ -30,6 +30,7 @@ mod normals;
 mod owners;
 mod seed;
 mod sums;
+mod sun;
 mod texels;
 mod walk;
 mod weights;
@@ -46,7 +47,8 @@ use super::preconvolution::Preconvolution;
 use super::shadow_cache::ShadowCache;
 use super::tessellation::{Cells, LEAVES_A_GROUP, Tessellation};
 use super::{
-    DomeSampler, Draws, Expectation, Glint, Glossy, MakeSampler, Point, Prepared, SamplerStats, Setup, Sun, TOGETHER,
+    DomeSampler, Draws, Expectation, Glint, Glossy, MakeSampler, Numbers, Point, Prepared, SamplerStats, Setup, Sun,
+    TOGETHER,
 };
 use crate::bsdf::Specular;
 use crate::dome::Dome;
@@ -68,6 +70,7 @@ use seed::Seed;
 use std::io::{self, Read, Write};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
+use sun::OneSun;
 use texels::{COUNTS, Texels};
 use walk::Asked;
 use weights::{Purpose, Subject, Weigh, WeighLearned};
@@ -146,8 +149,10 @@ pub struct Tessellated {
     table: Vec<OnceLock<Irradiance>>,
     /// What surfaces are expected to receive; empty without a cache.
     expected: Expected,
-    /// Suns: what lobes may show as glints, and what one asks for along its shadow; empty without a cache.
+    /// Suns: what lobes may show as glints; empty without a cache.
     glints: Glints,
+    /// The one sun that the dome has, if it has: it may have rays of its own.
+    sun: OneSun,
     prepare_s: f64,
 }
 
@@ -228,13 +233,14 @@ impl Tessellated {
         let normals = Normals::new(params.integer("normals").unwrap_or(paid_for) as usize);
         let table = if cache.is_some() { vec![OnceLock::new(); normals.count()] } else { Vec::new() };
         let glints = if cache.is_some() { Glints::new(&preconvolved) } else { Glints::default() };
+        let sun = OneSun::new(&cells, &texels, &preconvolved, glints.groups());
         let expected = match cache {
-            Some(_) => Expected::new(&preconvolved, glints.groups()),
+            Some(_) => Expected::new(&preconvolved, glints.groups(), sun.groups()),
             None => Expected::default(),
         };
         let (memory, triangles) = (Memory::new(cache), preconvolved);
         let prepare_s = start.elapsed().as_secs_f64();
-        Self { cells, triangles, texels, owners, memory, normals, table, expected, glints, prepare_s }
+        Self { cells, triangles, texels, owners, memory, normals, table, expected, glints, sun, prepare_s }
     }
 
     /// Goes by what the cache has counted from now on.
@@ -267,16 +273,18 @@ impl Tessellated {
             // Without a control variate the density is all there is: made for the very normal.
             None => Subject::Normal(point.ns),
         };
-        memo.get(&Purpose { version: memory.version(), rays: n, subject }, |weights| match subject {
+        let without = if point.sunless { self.sun.groups() } else { &[] };
+        let purpose = Purpose { version: memory.version(), rays: n, subject, sunless: point.sunless };
+        memo.get(&purpose, |weights| match subject {
             Subject::Learned { cell, record, wide } => {
                 let (irradiance, visibility) = (self.irradiance(cell as usize), memory.visibility(record));
-                let learned = WeighLearned { triangles, irradiance, rays: n, visibility, weights };
+                let learned = WeighLearned { triangles, irradiance, rays: n, visibility, without, weights };
                 match wide {
                     None => dispatch(learned),
                     Some(wide) => dispatch(WeighWide { learned, wide, normals }),
                 }
             }
-            Subject::Normal(normal) => dispatch(Weigh { triangles, normal, rays: n, weights }),
+            Subject::Normal(normal) => dispatch(Weigh { triangles, normal, rays: n, without, weights }),
         })
     }
 }
@@ -404,11 +412,16 @@ impl DomeSampler for Tessellated {
         }
     }
 
-    fn glint(&self, point: &Point, lobe: &Specular, view: u32) -> Option<Glint> {
+    fn draw_sun(&self, point: &Point, n: u32, out: &mut Draws) {
+        out.clear();
+        self.sun.draw(point.numbers, n, self.memory.target(point), out);
+    }
+
+    fn glint(&self, point: &Point, lobe: &Specular, own: Numbers) -> Option<Glint> {
         if self.glints.is_empty() {
             return None;
         }
-        dispatch(Show { glints: &self.glints, point, lobe, view })
+        dispatch(Show { glints: &self.glints, point, lobe, own })
     }
 
     fn suns(&self) -> &[Sun] {
@@ -459,7 +472,7 @@ impl DomeSampler for Tessellated {
     fn stats(&self) -> SamplerStats {
         let moments = 15 * 4 * (self.triangles.groups.x.len() + self.texels.leaves.len());
         let table: usize = self.table.iter().filter_map(OnceLock::get).map(Irradiance::bytes).sum();
-        let bytes = moments + self.texels.bytes() + table + self.owners.bytes();
+        let bytes = moments + self.texels.bytes() + table + self.owners.bytes() + self.sun.bytes();
         SamplerStats {
             prepare_s: self.prepare_s,
             triangles: self.texels.leaves.iter().filter(|leaf| leaf.end > leaf.begin).count() as u64,
@@ -486,7 +499,7 @@ mod tests {
     pub(super) fn point(ns: Vec3, seed: u32) -> Point {
         let bsdf = Bsdf { diffuse: Vec3::ONE, specular: None };
         let numbers = Numbers { seed, sample: 0 };
-        Point { pixel: [0, 0], distance: 1.0, ng: ns, ns, wo: ns, bsdf, numbers }
+        Point { pixel: [0, 0], distance: 1.0, ng: ns, ns, wo: ns, bsdf, sunless: false, numbers }
     }
 
     fn grey(width: u32, height: u32) -> Arc<Dome> {

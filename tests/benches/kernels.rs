@@ -91,6 +91,7 @@ fn samplers(c: &mut Criterion) {
                     ns: n,
                     wo: n,
                     bsdf: Bsdf { diffuse: Vec3::ONE, specular: None },
+                    sunless: false,
                     numbers: Numbers { seed: hash(&[i]), sample: 0 },
                 };
                 sampler.draw(&point, DIRECTIONS, &mut draws);

@@ -38,7 +38,7 @@ impl Integrator for Dimming {
         }
         let dimmed = surface.base_color * (1.0 - surface.metallic) - bsdf.diffuse;
         let Shading { pixel, distance, numbers, rays, .. } = *at;
-        let point = Point { pixel, distance, ng: surface.ng, ns: surface.ns, wo, bsdf, numbers };
+        let point = Point { pixel, distance, ng: surface.ng, ns: surface.ns, wo, bsdf, sunless: false, numbers };
         world.sampler.draw(&point, rays, draws);
         for i in 0..draws.dir.len() {
             let dir = draws.dir.get(i);

@@ -152,6 +152,7 @@ fn toss(stage: &Stage, sampler: &mut dyn DomeSampler, dome: &Arc<Dome>, seed: u3
             ns: surface.ns,
             wo: -ray.dir,
             bsdf: Bsdf::new(&surface, -ray.dir),
+            sunless: false,
             numbers: Numbers { seed: random::hash(&[seed, x, y]), sample: 0 },
         };
         sampler.draw(&point, 64, &mut draws);

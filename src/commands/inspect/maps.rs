@@ -46,6 +46,7 @@ fn point(normal: Vec3, seed: u32) -> Point {
         ns: normal,
         wo: normal,
         bsdf: Bsdf { diffuse: Vec3::ONE, specular: None },
+        sunless: false,
         numbers: Numbers { seed: random::mix(seed), sample: 0 },
     }
 }

@@ -418,7 +418,7 @@ impl Tessellated {
 
 /// Every other bit of a 16-bit word, packed into a byte.
 #[inline(always)]
-fn compact(mut x: u32) -> u32 {
+pub(super) fn compact(mut x: u32) -> u32 {
     x &= 0x5555;
     x = (x | (x >> 1)) & 0x3333;
     x = (x | (x >> 2)) & 0x0f0f;

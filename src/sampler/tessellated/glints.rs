@@ -8,7 +8,7 @@ use crate::bsdf::Specular;
 use crate::dome::Dome;
 use crate::random;
 use crate::sampler::preconvolution::{GROUP_LANES, Preconvolution};
-use crate::sampler::{Glint, Point, Sun};
+use crate::sampler::{Glint, Numbers, Point, Sun};
 use crate::simd::Kernel;
 use glam::Vec3;
 use std::f32::consts::PI;
@@ -79,8 +79,8 @@ pub(super) struct Show<'a> {
     pub(super) glints: &'a Glints,
     pub(super) point: &'a Point,
     pub(super) lobe: &'a Specular,
-    /// Which of the camera sample's camera rays met the point.
-    pub(super) view: u32,
+    /// The point's own numbers.
+    pub(super) own: Numbers,
 }
 
 impl Kernel for Show<'_> {
@@ -88,9 +88,9 @@ impl Kernel for Show<'_> {
 
     #[inline(always)]
     fn run(self) -> Option<Glint> {
-        let Self { glints: Glints { groups, axis: [x, y, z], spread2, flux, mean_radiance, .. }, point, lobe, view } =
+        let Self { glints: Glints { groups, axis: [x, y, z], spread2, flux, mean_radiance, .. }, point, lobe, own } =
             self;
-        let &Point { ng, ns, wo, numbers, .. } = point;
+        let &Point { ng, ns, wo, .. } = point;
         let blurred = Blurred::new(lobe, ns, wo);
         let (mut body, mut rim) = ([0.0; GROUP_LANES], [0.0; GROUP_LANES]);
         for i in 0..GROUP_LANES {
@@ -112,7 +112,7 @@ impl Kernel for Show<'_> {
             return None;
         }
         // One of them stands for all: any that is shown, by what is shown of it.
-        let mut left = all * random::unit(numbers.word(view, 0x6117));
+        let mut left = all * random::unit(own.word(0, 0x6117));
         let mut chosen = 0;
         for i in (0..groups.len()).filter(|&i| weights[i] > 0.0) {
             chosen = i;
@@ -161,8 +161,8 @@ mod tests {
     fn shown_by(lobe: Specular, glints: &Glints, ns: Vec3, ng: Vec3, wo: Vec3) -> Option<Glint> {
         let numbers = Numbers { seed: 1, sample: 2 };
         let bsdf = Bsdf { diffuse: Vec3::ZERO, specular: Some(lobe) };
-        let point = Point { pixel: [0, 0], distance: 1.0, ng, ns, wo, bsdf, numbers };
-        Show { glints, point: &point, lobe: &lobe, view: 0 }.run()
+        let point = Point { pixel: [0, 0], distance: 1.0, ng, ns, wo, bsdf, sunless: false, numbers };
+        Show { glints, point: &point, lobe: &lobe, own: numbers }.run()
     }
 
     /// To a quarter: what is expected may be wrong, and then leaves a sixteenth of the variance.

@@ -236,6 +236,7 @@ mod tests {
             ns: Vec3::Z,
             wo: Vec3::X,
             bsdf: Bsdf { diffuse: Vec3::ZERO, specular: Some(lobe) },
+            sunless: false,
             numbers: Numbers { seed: 7, sample: 0 },
         };
         let made = Glimpse::new(&point, &lobe, 2, Some(9));

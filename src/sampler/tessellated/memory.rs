@@ -86,13 +86,18 @@ impl Memory {
         cache.visibility(slot as usize)
     }
 
+    /// Where a point's rays are counted, while they are.
+    pub(super) fn target(&self, point: &Point) -> Option<u32> {
+        let cache = self.cache.as_ref().filter(|_| self.listens)?;
+        Some(cache.admit(point.pixel, ShadowCache::key(point.ng, point.distance, 0.0)))
+    }
+
     /// The record a point reads, and the target its rays are counted towards, if any.
     pub(super) fn consult(&self, point: &Point, out: &mut Draws) -> (Option<Record<'_>>, u32) {
-        let Some(cache) = &self.cache else { return (None, NO_TARGET) };
-        let target = match self.listens {
-            true => cache.admit(point.pixel, ShadowCache::key(point.ng, point.distance, 0.0)),
-            false => NO_TARGET,
-        };
+        if self.cache.is_none() {
+            return (None, NO_TARGET);
+        }
+        let target = self.target(point).unwrap_or(NO_TARGET);
         let record = self.read(point, &mut out.prepared.found);
         out.lookups += u64::from(self.warm);
         out.found += u64::from(record.is_some());

@@ -245,7 +245,8 @@ mod tests {
                 for seed in 0..POINTS {
                     let bsdf = Bsdf { diffuse: Vec3::ONE, specular: None };
                     let numbers = Numbers { seed: hash(&[seed]), sample: 0 };
-                    let point = Point { pixel: [0, 0], distance: 1.0, ng: ns, ns, wo: ns, bsdf, numbers };
+                    let point =
+                        Point { pixel: [0, 0], distance: 1.0, ng: ns, ns, wo: ns, bsdf, sunless: false, numbers };
                     // One direction a point: independent ones, as the test wants them.
                     sampler.draw(&point, 1, &mut draws);
                     drawn[deepest(&sampler.preconvolved.triangles, draws.dir.get(0).as_dvec3())] += 1.0;

@@ -21,11 +21,12 @@ pub(super) struct Asked {
     normal: Vec3,
     numbers: Numbers,
     n: u32,
+    sunless: bool,
 }
 
 impl Asked {
     pub(super) fn new(point: &Point, n: u32) -> Self {
-        Self { normal: point.ns, numbers: point.numbers, n }
+        Self { normal: point.ns, numbers: point.numbers, n, sunless: point.sunless }
     }
 
     /// Whether small blocks serve.
@@ -280,7 +281,7 @@ mod tests {
         for (n, normal) in (1..=21).flat_map(|n| [(n, Vec3::Y), (n, Vec3::new(0.48, -0.6, 0.64))]) {
             let mut memo = Memo::default();
             let weights = sampler.weights(&point(normal, n), n, None, &mut memo);
-            let asked = Asked { normal, numbers: Numbers { seed: n, sample: 1 }, n };
+            let asked = Asked { normal, numbers: Numbers { seed: n, sample: 1 }, n, sunless: false };
             let (small, large) =
                 (descended::<FEW>(&sampler, weights, &asked), descended::<MANY>(&sampler, weights, &asked));
             assert_eq!(small.dir.len(), n as usize);

@@ -35,6 +35,15 @@ pub(super) struct Purpose {
     pub(super) version: u64,
     pub(super) rays: u32,
     pub(super) subject: Subject,
+    /// Whether the dome's sun is left out.
+    pub(super) sunless: bool,
+}
+
+impl Purpose {
+    #[inline(always)]
+    fn hash(&self) -> u32 {
+        self.subject.hash() ^ u32::from(self.sunless)
+    }
 }
 
 /// Whose weights.
@@ -124,6 +133,8 @@ pub(super) struct Weigh<'a> {
     pub(super) triangles: &'a Preconvolution,
     pub(super) normal: Vec3,
     pub(super) rays: u32,
+    /// Groups that are left out.
+    pub(super) without: &'a [usize],
     pub(super) weights: &'a mut Weights,
 }
 
@@ -132,12 +143,13 @@ impl Kernel for Weigh<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { triangles, normal, rays, weights } = self;
+        let Self { triangles, normal, rays, without, weights } = self;
         let notable = NOTABLE / (rays as f32 * rays as f32);
         let irradiance = &mut weights.own;
         Sweep { triangles, aim: Aim::exact(normal), notable, parts: false, irradiance }.run();
         weights.resize(irradiance_len(triangles));
         weights.weighted.copy_from_slice(&weights.own.importance);
+        weights.leave_out(without);
         weights.control.fill(-0.0);
         weights.flux = [Vec3::ZERO; 3];
         weights.count(rays);
@@ -152,6 +164,8 @@ pub(super) struct WeighLearned<'a> {
     pub(super) rays: u32,
     /// The record's visibilities in 255ths.
     pub(super) visibility: &'a [u8],
+    /// Groups that are left out.
+    pub(super) without: &'a [usize],
     pub(super) weights: &'a mut Weights,
 }
 
@@ -169,9 +183,15 @@ impl WeighLearned<'_> {
     /// All but the CDF.
     #[inline(always)]
     pub(super) fn learn(&mut self) {
-        let Self { triangles, irradiance, visibility, weights, .. } = self;
+        let Self { triangles, irradiance, visibility, without, weights, .. } = self;
         let count = irradiance_len(triangles);
         weights.resize(count);
+        let mut others = Vec::new();
+        if !without.is_empty() {
+            others.extend_from_slice(visibility);
+            without.iter().for_each(|&group| others[group] = 0);
+        }
+        let visibility = if without.is_empty() { *visibility } else { &others };
         let (groups, _) = irradiance.importance[..count].as_chunks::<GROUP_LANES>();
         let groups = groups.iter().zip(irradiance.covered[..count].as_chunks::<GROUP_LANES>().0);
         let records = visibility[..count].as_chunks::<GROUP_LANES>().0.iter();
@@ -191,6 +211,7 @@ impl WeighLearned<'_> {
             }
             (*weighted, *control, *whole) = (drawn, of_groups, Register(above));
         }
+        weights.leave_out(without);
         let Parts { groups, rgb, .. } = &irradiance.parts;
         let (whole, of_parts) = weights.of_flux.split_at_mut(count / GROUP_LANES);
         for (Register(of_parts), groups) in of_parts.iter_mut().zip(groups) {
@@ -214,6 +235,12 @@ fn irradiance_len(triangles: &Preconvolution) -> usize {
 }
 
 impl Weights {
+    /// Nothing is drawn from these groups.
+    #[inline(always)]
+    pub(super) fn leave_out(&mut self, groups: &[usize]) {
+        groups.iter().for_each(|&group| self.weighted[group] = 0.0);
+    }
+
     /// Whether a group's cells are drawn by energy alone.
     #[inline(always)]
     pub(super) fn goes_by_energy(&self, group: usize) -> bool {
@@ -390,7 +417,7 @@ impl Memo {
     /// The weights for a purpose, made by `make` unless they are at hand.
     #[inline]
     pub(super) fn get(&mut self, purpose: &Purpose, make: impl FnOnce(&mut Weights)) -> &Weights {
-        self.current = purpose.subject.hash() as usize % self.entries.len();
+        self.current = purpose.hash() as usize % self.entries.len();
         let weights = &mut self.entries[self.current];
         if weights.purpose != *purpose {
             make(weights);
@@ -473,7 +500,7 @@ mod tests {
     fn weights_have_a_stamp_of_their_own_for_as_long_as_they_are_kept() {
         let mut memo = Memo::default();
         let mut stamp = |version, normal| {
-            let purpose = Purpose { version, rays: 16, subject: Subject::Normal(normal) };
+            let purpose = Purpose { version, rays: 16, subject: Subject::Normal(normal), sunless: false };
             memo.get(&purpose, |_| ()).stamp
         };
         let first = stamp(1, Vec3::X);

@@ -72,7 +72,7 @@ impl Kernel for WeighWide<'_> {
     fn run(self) {
         let Self { mut learned, wide: Wide { wo, roughness, f0, diffuse }, normals } = self;
         learned.learn();
-        let WeighLearned { triangles, irradiance, visibility, rays, weights } = learned;
+        let WeighLearned { triangles, irradiance, visibility, rays, without, weights } = learned;
         let groups = &triangles.groups;
         let count = groups.x.len();
         let share = |steps: u8| f32::from(steps) * (1.0 / STEPS);
@@ -95,6 +95,7 @@ impl Kernel for WeighWide<'_> {
             weighted[g] = weighted[g] * (diffuse + value) + of_lobe * blurred.uneven(axis, spread2[g]);
             shown[g] = value;
         }
+        weights.leave_out(without);
         weights.show(&triangles.groups.rgb, &irradiance.parts);
         weights.count(rays);
     }

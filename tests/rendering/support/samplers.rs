@@ -69,6 +69,7 @@ pub(crate) fn point(n: Vec3, seed: u32) -> Point {
         ns: n,
         wo: n,
         bsdf: Bsdf { diffuse: Vec3::splat(0.5), specular: None },
+        sunless: false,
         numbers: Numbers { seed: random::mix(seed), sample: 0 },
     }
 }
