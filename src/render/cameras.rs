@@ -41,10 +41,10 @@ impl CameraSample {
         self.view == 0
     }
 
-    /// Numbers of its own, stratified together with all of its pixel's; as its sample's they depend on nothing that was learned
-    /// from others.
+    /// Numbers of its own, stratified together with those of all its sequence's camera rays.
     pub(super) fn own(&self) -> Numbers {
-        Numbers { seed: random::combine(self.numbers.seed, 0x5b5b), sample: self.place }
+        let Numbers { seed, sample } = self.numbers;
+        Numbers { seed: random::combine(seed, 0x5b5b), sample: sample * self.views + self.view }
     }
 
     pub(super) fn among(&self, pass: &Pass) -> Among {
