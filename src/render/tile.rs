@@ -186,13 +186,18 @@ impl Render<'_> {
             let hit = &if shaded { refined() } else { *hit };
             let placed = shaded || self.settings.aovs;
             let mut surface = if placed { self.scene.surface(ray, hit) } else { self.scene.look(ray, hit) };
-            // Where rays begin: the same with further layers and without.
-            let place = |surface: &Surface| {
-                if shaded { (surface.position, surface.error) } else { self.scene.place(&refined()) }
+            // Where rays begin, when the first asks: the same with further layers and without.
+            let mut is_placed = shaded;
+            let mut place = |surface: &mut Surface| {
+                if !is_placed {
+                    (surface.position, surface.error) = self.scene.place(&refined());
+                    is_placed = true;
+                }
+                (surface.position, surface.error)
             };
             let mirrors = gloss && self.integrator.mirrors(&surface, world.sampler);
-            if mirrors && !shaded {
-                (surface.position, surface.error) = self.scene.place(&refined());
+            if mirrors {
+                place(&mut surface);
             }
             let rays = self.settings.rays;
             let mut radiance = Vec3::ZERO;
@@ -203,10 +208,10 @@ impl Render<'_> {
                 let expected = self.integrator.expected(world, &point, camera.own(), &mut s.draws);
                 (radiance, post, sunrays) = (expected.radiance, expected.post, expected.sunrays);
                 if sunrays.is_some() {
-                    (surface.position, surface.error) = place(&surface);
+                    place(&mut surface);
                 }
                 if let Some(glint) = expected.glint {
-                    let (position, error) = place(&surface);
+                    let (position, error) = place(&mut surface);
                     let origin = offset_origin(position, error, surface.ng, glint.dir);
                     s.queue.sample = GLINT | s.glints.len() as u32;
                     s.glints.push((i as u32, Vec3::ZERO));
@@ -222,7 +227,7 @@ impl Render<'_> {
                     post = post.filter(|post| camera.view < rays && of.is_some_and(|of| post.may_stand_in_for(&of)));
                 }
                 if let Some(Post { lambert: Lambert { origin, ng, .. }, .. }) = &mut post {
-                    let (position, error) = place(&surface);
+                    let (position, error) = place(&mut surface);
                     *origin = offset_origin(position, error, *ng, *ng);
                 }
                 s.posts.push(post);

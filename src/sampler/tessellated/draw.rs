@@ -169,14 +169,9 @@ impl<const N: usize> Kernel for Aimed<'_, N> {
             block.pdf[i] = probability / block.pdf[i];
         }
         for i in 0..N {
-            // The last of the number, digit by digit to the two sides of the cell; fresh digits below.
             let fresh = random::mix(block.fresh[i] ^ 0x3c6e_f372);
             let rest = (block.offset[i] as f32 + random::unit(fresh)) / block.width[i] as f32;
-            let z = small_whole(rest * 65536.0).min(0xffff);
-            let fresh = random::mix(fresh ^ 0x1715_609d);
-            let side = |z: u32, low: u32| (compact(z) << 16 | low) as i32 as f32 * (1.0 / 16_777_216.0);
-            block.dir[0][i] = side(z, fresh & 0xffff);
-            block.dir[1][i] = side(z >> 1, fresh >> 16);
+            [block.dir[0][i], block.dir[1][i]] = within(rest, fresh);
         }
         for i in 0..N {
             let (x, y) = (block.dir[0][i], block.dir[1][i]);
@@ -193,6 +188,15 @@ impl<const N: usize> Kernel for Aimed<'_, N> {
             }
         }
     }
+}
+
+/// A place in a cell, in [0, 1)²: the last of a number, digit by digit to the two sides; fresh digits below.
+#[inline(always)]
+pub(super) fn within(rest: f32, fresh: u32) -> [f32; 2] {
+    let z = small_whole(rest * 65536.0).min(0xffff);
+    let fresh = random::mix(fresh ^ 0x1715_609d);
+    let side = |z: u32, low: u32| (compact(z) << 16 | low) as i32 as f32 * (1.0 / 16_777_216.0);
+    [side(z, fresh & 0xffff), side(z >> 1, fresh >> 16)]
 }
 
 /// What is left of a number inside the item it fell to, in [0, 1): the integer part with fresh digits below.
@@ -418,7 +422,7 @@ impl Tessellated {
 
 /// Every other bit of a 16-bit word, packed into a byte.
 #[inline(always)]
-pub(super) fn compact(mut x: u32) -> u32 {
+fn compact(mut x: u32) -> u32 {
     x &= 0x5555;
     x = (x | (x >> 1)) & 0x3333;
     x = (x | (x >> 2)) & 0x0f0f;

@@ -1,7 +1,7 @@
 //! The sun of a dome that has one: the groups that it is spread over, and directions towards it, drawn from all its cells by
 //! one integer CDF. It serves all points alike.
 
-use super::draw::compact;
+use super::draw::within;
 use super::texels::{Lit, Span, Texels};
 use crate::dome::Dome;
 use crate::random;
@@ -90,13 +90,10 @@ impl OneSun {
             let Cell { group, sides, radiance, pdf } = &self.cells[chosen];
             let begin = self.begins[chosen];
             let end = self.begins.get(chosen + 1).map_or(COUNTS, |&end| f64::from(end));
-            // The last of the number, digit by digit to the two sides of the cell; fresh digits below.
             let fresh = numbers.word(0, 0x5106);
             let rest = (f64::from(at - begin) + f64::from(random::unit(fresh))) / (end - f64::from(begin));
-            let z = ((rest * 65536.0) as u32).min(0xffff);
-            let fresh = random::mix(fresh);
-            let side = |z: u32, low: u32| (compact(z) << 16 | low) as f32 * (1.0 / 16_777_216.0);
-            out.push(sides.direction(side(z, fresh & 0xffff), side(z >> 1, fresh >> 16)), *radiance, *pdf);
+            let [x, y] = within(rest as f32, fresh);
+            out.push(sides.direction(x, y), *radiance, *pdf);
             out.target.extend(target.map(|first| if first == NO_TARGET { NO_TARGET } else { first + group }));
         }
     }
@@ -160,8 +157,7 @@ mod tests {
 
     #[test]
     fn a_sun_is_all_bright_groups_about_the_brightest_and_a_sky_has_none() {
-        let sampler_of = |spec| sampler(&sunny(), spec);
-        let sun = sampler_of("tessellated").sun;
+        let sun = sampler(&sunny(), "tessellated").sun;
         assert!(sun.groups().len() > 1, "its texels are in several groups");
         let pieces: f64 = sun.cells.iter().map(|cell| f64::from(cell.pdf * cell.sides.row.solid_angle)).sum();
         assert!((pieces - 1.0).abs() < 1e-5, "{pieces}");

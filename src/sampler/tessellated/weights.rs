@@ -186,6 +186,7 @@ impl WeighLearned<'_> {
         let Self { triangles, irradiance, visibility, without, weights, .. } = self;
         let count = irradiance_len(triangles);
         weights.resize(count);
+        // What is left out is to the control variate as if it were hidden.
         let mut others = Vec::new();
         if !without.is_empty() {
             others.extend_from_slice(visibility);
