@@ -5,7 +5,8 @@ use crate::support::render::{Shot, direction, microscope, sheet, sphere, white};
 use crate::support::samplers::{dome, sampler};
 use domelight::dome::Dome;
 use domelight::scene::{Material, Mesh, Projection};
-use glam::{Vec3, Vec4};
+use glam::{DVec2, Vec3, Vec4};
+use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Regions of the image have as many camera rays as their first samples ask for.
@@ -135,6 +136,32 @@ fn rough_things() -> Vec<(Mesh, Material)> {
 #[test]
 fn the_suns_shadow_by_all_camera_rays() {
     assert_unbiased_by_all_camera_rays(rough_things(), &sun(), 20, 4);
+}
+
+/// What arrives and what would, were nothing hidden: the same by all camera rays as by one, though these ask for glints beside.
+#[test]
+fn the_visibility_layer_by_all_camera_rays() {
+    let mut parts = rough_things();
+    parts.push((sphere(Vec3::new(-0.6, 1.1, 0.4), 0.3), brass()));
+    let (stage, dome) = (Stage::new(parts), sun());
+    // The mean over the picture, and its standard error.
+    let of = |camera_rays: u32| {
+        let shot = Shot { camera_rays: Some(camera_rays), ..stage.shot(&dome, 20, 8) };
+        let light = |seed: u32| {
+            let picture = shot.take_layers(sampler(CACHE, &dome, 8).as_mut(), 100 * camera_rays + seed);
+            let aovs = &picture.film.aovs;
+            aovs.iter().map(|sums| DVec2::new(sums[10], sums[11])).sum::<DVec2>() / aovs.len() as f64
+        };
+        let pictures: Vec<DVec2> = (0..24).into_par_iter().map(light).collect();
+        let count = pictures.len() as f64;
+        let mean = pictures.iter().sum::<DVec2>() / count;
+        let squares: DVec2 = pictures.iter().map(|&light| (light - mean) * (light - mean)).sum();
+        (mean, squares / count / (count - 1.0))
+    };
+    let ((one, of_one), (all, of_all)) = (of(1), of(4));
+    let error = (of_one + of_all).map(f64::sqrt);
+    assert!(error.cmple(0.01 * one).all(), "the standard error {error} of {one} says nothing");
+    assert!((all - one).abs().cmple(4.0 * error).all(), "{all} is not {one} ± {error}");
 }
 
 /// Balls on the floor and in the shadow of slats, so small that they show the sun in a spot of a pixel.

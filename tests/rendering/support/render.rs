@@ -116,20 +116,25 @@ pub(crate) struct Shot<'a> {
 impl Shot<'_> {
     /// The render itself, misses black.
     pub(crate) fn take(&self, sampler: &mut dyn DomeSampler, seed: u32) -> Picture {
-        self.run(sampler, seed, [0, 0, self.side, self.side], false)
+        self.run(sampler, seed, [0, 0, self.side, self.side], [false; 2])
+    }
+
+    /// The same with further layers.
+    pub(crate) fn take_layers(&self, sampler: &mut dyn DomeSampler, seed: u32) -> Picture {
+        self.run(sampler, seed, [0, 0, self.side, self.side], [true, false])
     }
 
     /// The same in replicates, with variances.
     pub(crate) fn take_measured(&self, sampler: &mut dyn DomeSampler, seed: u32) -> Picture {
-        self.run(sampler, seed, [0, 0, self.side, self.side], true)
+        self.run(sampler, seed, [0, 0, self.side, self.side], [false, true])
     }
 
     /// A part of it: first column, first row, columns, rows.
     pub(crate) fn crop(&self, crop: [u32; 4], sampler: &mut dyn DomeSampler, seed: u32) -> Picture {
-        self.run(sampler, seed, crop, false)
+        self.run(sampler, seed, crop, [false; 2])
     }
 
-    fn run(&self, sampler: &mut dyn DomeSampler, seed: u32, crop: [u32; 4], variance: bool) -> Picture {
+    fn run(&self, sampler: &mut dyn DomeSampler, seed: u32, crop: [u32; 4], [aovs, variance]: [bool; 2]) -> Picture {
         let (plugin, params) = resolve("integrator", INTEGRATORS, "direct").unwrap();
         let integrator = (plugin.make)(&params).unwrap();
         let view = View::new(self.camera, self.side, self.side);
@@ -143,7 +148,7 @@ impl Shot<'_> {
             tile: self.tile,
             filter: Filter::Box,
             background: Background::Black,
-            aovs: false,
+            aovs,
             variance,
             time: None,
         };
