@@ -75,6 +75,20 @@ pub struct Sides {
 #[repr(transparent)]
 pub struct Place(u32);
 
+impl Place {
+    /// From the top.
+    #[inline(always)]
+    pub fn row(self) -> u32 {
+        self.0 >> 16
+    }
+
+    /// From the image's left edge.
+    #[inline(always)]
+    pub fn column(self) -> u32 {
+        self.0 & 0xffff
+    }
+}
+
 #[derive(Debug, Clone, Copy)]
 struct Row {
     draw: DrawRow,
@@ -230,16 +244,15 @@ impl DomeCells {
 
     /// The cosine between a cell's middle and a unit direction.
     #[inline(always)]
-    pub fn cosine(&self, Place(place): Place, n: Vec3) -> f32 {
-        let ([cos, sin], [ring, y]) =
-            (self.draw_columns[(place & 0xffff) as usize], self.middles[(place >> 16) as usize]);
+    pub fn cosine(&self, place: Place, n: Vec3) -> f32 {
+        let ([cos, sin], [ring, y]) = (self.draw_columns[place.column() as usize], self.middles[place.row() as usize]);
         ring * (cos * n.x + sin * n.z) + y * n.y
     }
 
     /// What drawing from a cell needs.
     #[inline(always)]
-    pub fn sides(&self, Place(place): Place) -> Sides {
-        let ([cos, sin], row) = (self.draw_columns[(place & 0xffff) as usize], self.draw_rows[(place >> 16) as usize]);
+    pub fn sides(&self, place: Place) -> Sides {
+        let ([cos, sin], row) = (self.draw_columns[place.column() as usize], self.draw_rows[place.row() as usize]);
         Sides { half_azimuth: self.half_azimuth, cos, sin, row }
     }
 }

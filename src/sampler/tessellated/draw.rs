@@ -192,7 +192,7 @@ impl<const N: usize> Kernel for Aimed<'_, N> {
 
 /// A place in a cell, in [0, 1)²: the last of a number, digit by digit to the two sides; fresh digits below.
 #[inline(always)]
-pub(super) fn within(rest: f32, fresh: u32) -> [f32; 2] {
+fn within(rest: f32, fresh: u32) -> [f32; 2] {
     let z = small_whole(rest * 65536.0).min(0xffff);
     let fresh = random::mix(fresh ^ 0x1715_609d);
     let side = |z: u32, low: u32| (compact(z) << 16 | low) as i32 as f32 * (1.0 / 16_777_216.0);

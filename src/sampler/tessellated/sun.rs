@@ -1,13 +1,14 @@
 //! The sun of a dome that has one: the groups that it is spread over, and directions towards it, drawn from all its cells by
-//! one integer CDF. It serves all points alike.
+//! row and column, which serve all points alike. In two dimensions, for that is what an edge across its disc asks for: points
+//! that are even on the disc, not along a curve through it.
 
-use super::draw::within;
 use super::texels::{Lit, Span, Texels};
 use crate::dome::Dome;
 use crate::random;
-use crate::sampler::cells::{DomeCells, Sides};
+use crate::sampler::cells::{DomeCells, Place, Sides};
 use crate::sampler::preconvolution::Preconvolution;
 use crate::sampler::shadow_cache::NO_TARGET;
+use crate::sampler::table::Table;
 use crate::sampler::tessellation::LEAVES_A_GROUP;
 use crate::sampler::{Draws, Numbers};
 use glam::Vec3;
@@ -18,12 +19,20 @@ const DISC: f32 = 0.995;
 /// The share of the dome's light that its sun has at least.
 const SUNNY: f32 = 0.1;
 
-/// A sun; none is without cells.
+/// A sun; none is without groups.
 #[derive(Debug, Default)]
 pub(super) struct OneSun {
     groups: Vec<usize>,
-    /// Counts before each cell, of 2³².
-    begins: Vec<u32>,
+    /// By energy; none without a sun.
+    table: Option<Table>,
+    rows: Vec<Row>,
+}
+
+/// Its cells in a row of the dome.
+#[derive(Debug)]
+struct Row {
+    /// By energy.
+    table: Table,
     cells: Vec<Cell>,
 }
 
@@ -32,8 +41,6 @@ struct Cell {
     group: u32,
     sides: Sides,
     radiance: Vec3,
-    /// Steradians⁻¹.
-    pdf: f32,
 }
 
 impl OneSun {
@@ -49,24 +56,30 @@ impl OneSun {
         }
         let leaves =
             |&g: &usize| texels.leaves[g * LEAVES_A_GROUP..][..LEAVES_A_GROUP].iter().map(move |leaf| (g, leaf));
-        let lit = |(g, leaf): (usize, &Span)| (leaf.begin..leaf.end).map(move |i| (g, &texels.order()[i as usize]));
-        let members: Vec<(usize, &Lit)> = disc.iter().flat_map(leaves).flat_map(lit).collect();
-        let energy = |lit: &Lit| f64::from(Dome::weight(lit.radiance) * cells.sides(lit.place).row.solid_angle);
-        let all: f64 = members.iter().map(|(_, lit)| energy(lit)).sum();
-        // One for each, the rest by energy.
-        let rest = COUNTS - members.len() as f64;
-        let mut sun = Self { groups: disc, ..Self::default() };
-        let (mut before, mut begin) = (0.0, 0);
-        for (i, &(group, lit)) in members.iter().enumerate() {
-            before += energy(lit);
-            let end = if i + 1 == members.len() { COUNTS as u64 } else { (before / all * rest) as u64 + i as u64 + 1 };
-            let sides = cells.sides(lit.place);
-            let pdf = (end - begin) as f64 / COUNTS / f64::from(sides.row.solid_angle);
-            sun.begins.push(begin as u32);
-            sun.cells.push(Cell { group: group as u32, sides, radiance: Vec3::from(lit.radiance), pdf: pdf as f32 });
-            begin = end;
+        let lit = |(g, leaf): (usize, &Span)| (leaf.begin..leaf.end).map(move |i| (g, texels.order()[i as usize]));
+        let mut members: Vec<(usize, Lit)> = disc.iter().flat_map(leaves).flat_map(lit).collect();
+        // Columns from opposite the sun on, so that the image's seam is none of its.
+        let opposite = (members[0].1.place.column() + cells.width() / 2) % cells.width();
+        let column = |place: Place| (place.column() + cells.width() - opposite) % cells.width();
+        members.sort_unstable_by_key(|(_, lit)| (lit.place.row(), column(lit.place)));
+        let energy = |(_, lit): &(usize, Lit)| {
+            f64::from(Dome::weight(lit.radiance)) * f64::from(cells.sides(lit.place).row.solid_angle)
+        };
+        let cell = |&(group, lit): &(usize, Lit)| Cell {
+            group: group as u32,
+            sides: cells.sides(lit.place),
+            radiance: Vec3::from(lit.radiance),
+        };
+        let (mut rows, mut sums) = (Vec::new(), Vec::new());
+        for members in members.chunk_by(|(_, a), (_, b)| a.place.row() == b.place.row()) {
+            let energies: Vec<f64> = members.iter().map(energy).collect();
+            // Not a row that is black.
+            if let Some(table) = Table::new(&energies) {
+                rows.push(Row { table, cells: members.iter().map(cell).collect() });
+                sums.push(energies.iter().sum());
+            }
         }
-        sun
+        Self { groups: disc, table: Table::new(&sums), rows }
     }
 
     /// The groups of triangles that it is spread over; none without a sun.
@@ -75,32 +88,30 @@ impl OneSun {
     }
 
     pub(super) fn bytes(&self) -> usize {
-        size_of_val(&self.begins[..]) + size_of_val(&self.cells[..])
+        let of_row = |row: &Row| row.table.bytes() + size_of_val(&row.cells[..]);
+        self.table.as_ref().map_or(0, Table::bytes)
+            + size_of_val(&self.rows[..])
+            + self.rows.iter().map(of_row).sum::<usize>()
     }
 
     /// So many directions, stratified together with those of all samples; none without a sun.
     pub(super) fn draw(&self, numbers: Numbers, n: u32, target: Option<u32>, out: &mut Draws) {
-        if self.cells.is_empty() {
-            return;
-        }
+        let Some(table) = &self.table else { return };
         for i in 0..n {
-            let numbers = Numbers { sample: numbers.sample.wrapping_mul(n).wrapping_add(i), ..numbers };
-            let at = numbers.within_stratum(0);
-            let chosen = self.begins.partition_point(|&begin| begin <= at) - 1;
-            let Cell { group, sides, radiance, pdf } = &self.cells[chosen];
-            let begin = self.begins[chosen];
-            let end = self.begins.get(chosen + 1).map_or(COUNTS, |&end| f64::from(end));
-            let fresh = numbers.word(0, 0x5106);
-            let rest = (f64::from(at - begin) + f64::from(random::unit(fresh))) / (end - f64::from(begin));
-            let [x, y] = within(rest as f32, fresh);
-            out.push(sides.direction(x, y), *radiance, *pdf);
+            let [a, b] = numbers.square(i, n);
+            let of_rows = table.find(a);
+            let row = &self.rows[of_rows.index as usize];
+            let of_cells = row.table.find(b);
+            let Cell { group, sides, radiance } = &row.cells[of_cells.index as usize];
+            let fresh = random::combine(a, b);
+            let (x, y) = (of_cells.fraction(random::mix(fresh)), of_rows.fraction(fresh));
+            let probability = of_rows.width as f64 * of_cells.width as f64 * 2f64.powi(-64);
+            let pdf = probability / f64::from(sides.row.solid_angle);
+            out.push(sides.direction(x as f32, y as f32), *radiance, pdf as f32);
             out.target.extend(target.map(|first| if first == NO_TARGET { NO_TARGET } else { first + group }));
         }
     }
 }
-
-/// Of all cells together.
-const COUNTS: f64 = 4_294_967_296.0;
 
 #[cfg(test)]
 mod tests {
@@ -159,8 +170,6 @@ mod tests {
     fn a_sun_is_all_bright_groups_about_the_brightest_and_a_sky_has_none() {
         let sun = sampler(&sunny(), "tessellated").sun;
         assert!(sun.groups().len() > 1, "its texels are in several groups");
-        let pieces: f64 = sun.cells.iter().map(|cell| f64::from(cell.pdf * cell.sides.row.solid_angle)).sum();
-        assert!((pieces - 1.0).abs() < 1e-5, "{pieces}");
         let grid = Grid::new(64, 32, 0.0);
         let sky = Arc::new(Dome { grid, texels: vec![[1.0; 3]; grid.len()], faults: Faults::default() });
         let mut draws = Draws::default();
@@ -174,7 +183,7 @@ mod tests {
     #[test]
     fn a_sun_with_rays_of_its_own_is_left_out_of_all_others_and_nothing_is_lost() {
         let mut sampler = sampler(&sunny(), "tessellated");
-        let toward = sampler.sun.cells[0].sides.direction(0.5, 0.5);
+        let toward = sampler.sun.rows[0].cells[0].sides.direction(0.5, 0.5);
         let normals = [toward, Vec3::Y, (toward + 1.2 * toward.any_orthonormal_vector()).normalize()];
         for warm in [false, true] {
             if warm {
