@@ -321,12 +321,13 @@ impl Render<'_> {
             let mut shown =
                 mirrors.next_if(|mirrored| mirrored.0 as usize == first).map_or(expected, |m| expected + m.1);
             let beside = (s.lights[0] - light(expected)) / views as f32;
-            let (of, mut noise) = (first as u32..first as u32 + views, 0.0);
+            let (of, mut noise, mut sunny) = (first as u32..first as u32 + views, 0.0, 0.0);
             while let Some(&Sunny { sample, rays, all, arrived }) = suns.next_if(|sun| of.contains(&sun.sample)) {
                 if sample as usize == first {
                     shown += arrived;
                 }
                 s.lights[sample as usize - first] += light(arrived);
+                sunny += 1.0 / views as f32;
                 // Each ray carries about the same.
                 noise += light(arrived) * (all - light(arrived)) / (rays - 1).max(1) as f32;
             }
@@ -340,7 +341,7 @@ impl Render<'_> {
             // Beside samples that are aimed others weigh less the brighter they are: such pixels are no measure.
             if !spotted {
                 let noise = noise / views as f32;
-                notes.take_in(pixel, Seen { expected: &s.lights, known, noise, traced, dealt, saved });
+                notes.take_in(pixel, Seen { expected: &s.lights, known, noise, sunny, traced, dealt, saved });
             }
             first += views as usize;
         }

@@ -8,9 +8,11 @@
 //! in stripes finer than what is learned); V the part of D's variance that n camera rays divide by n if shadow rays are dealt
 //! out to them; and R what else is left of that variance. (Not of D²: where little is expected of what shines, D is nearly
 //! all the light and nearly the same for all samples of a pixel.) n camera rays leave an error of R + V + W/n, or with dealing
-//! R + (V + W)/n. (What a sun's rays err by, which all camera rays of a sample share, is part of R.) In the mean over a pixel's N samples, whose places are stratified together, V and W fall as N^-3/2, as where
-//! an edge goes through the pixel, R as N^-5/4, as was measured. With a sample's shadow rays at the price of a camera rays, n
-//! of these cost a + n; where nothing is hit, n alone. What counts is the whole image's error times its whole price: least
+//! R + (V + W)/n. (What a sun's rays err by, which all camera rays of a sample share, is part of R.) In the mean over a
+//! pixel's N samples, whose places are stratified together, V and W fall as N^-3/2, as where an edge goes through the pixel, R
+//! as N^-5/4, as was measured. With a sample's shadow rays at the price of a camera rays, n of these cost a + n; where nothing
+//! is hit, n alone; where each traces rays for a sun, so much more. What counts is the whole image's error times its whole
+//! price: least
 //! where a further camera ray takes the same share off the error everywhere that it adds to the price. But an error is seen
 //! where it is, a horizon in one row of a region that is exact elsewhere: a region with less noise than the image has as many
 //! as its own error times its own price ask for, up to twice as many as pay for the image.
@@ -38,6 +40,9 @@ const POINT: f64 = 3.0;
 
 /// The price of a camera ray that shadow rays are dealt out to, in others.
 const DEALT: f64 = 2.0;
+
+/// What a camera ray costs more, in others, that traces rays for a sun.
+const SUNRAYS: f64 = 2.0;
 
 /// How many times as many as pay for the whole image a region may have.
 const OWN: f64 = 2.0;
@@ -81,6 +86,8 @@ pub(super) struct Seen<'a> {
     /// The variance, in the mean, of what each expects by how few rays it has traced for a sun: these are shared out, as many in
     /// all whatever the number of camera rays.
     pub(super) noise: f32,
+    /// What share of them traced rays for a sun.
+    pub(super) sunny: f32,
     /// Whether that one traced shadow rays.
     pub(super) traced: bool,
     /// Whether these were dealt out.
@@ -90,7 +97,7 @@ pub(super) struct Seen<'a> {
 }
 
 /// What is summed up of a region.
-type Sums<T> = [T; 9];
+type Sums<T> = [T; 10];
 
 /// What was seen of the image's regions.
 #[derive(Debug)]
@@ -104,7 +111,7 @@ pub(super) struct Views {
     glare: f32,
     /// By region, relative to the light, sample by sample: Σ W (of either sign), Σ R + V, Σ V of those noted, and what part of V
     /// is in each R + V; samples, those noted, and those that traced shadow rays; logarithms of their light, and how many have
-    /// any.
+    /// any; what parts of their camera rays traced rays for a sun.
     sums: Vec<Sums<AtomicI64>>,
     /// By what was seen when the last pass ended.
     chosen: Vec<Choice>,
@@ -142,7 +149,7 @@ impl Views {
         let [logarithms, lit] = [7, 8].map(of_image);
         self.glare = if lit > 0.0 { GLARE * (2.0 * logarithms / lit / f64::from(ONE)).exp2() as f32 } else { 0.0 };
         let of_region = |sums: &mut Sums<AtomicI64>| {
-            let [between, square, of_places, places_in_square, samples, noted, traced, ..] =
+            let [between, square, of_places, places_in_square, samples, noted, traced, _, _, sunny] =
                 sums.each_mut().map(|sum| *sum.get_mut() as f64);
             let of_places = of_places.max(0.0) / noted.max(1.0);
             Region {
@@ -150,6 +157,7 @@ impl Views {
                 places: of_places * samples * self.left,
                 rays: (square - of_places * places_in_square / f64::from(ONE)).max(0.0),
                 samples,
+                sunny: sunny / f64::from(ONE),
                 shadow_rays: price * traced,
             }
         };
@@ -221,7 +229,7 @@ struct Pixel {
 impl Notes<'_> {
     /// Takes in a sample of a pixel.
     pub(super) fn take_in(&mut self, pixel: [u32; 2], sample: Seen<'_>) {
-        let Seen { expected, known, noise, traced, dealt, saved } = sample;
+        let Seen { expected, known, noise, sunny, traced, dealt, saved } = sample;
         let count = expected.len() as f32;
         let mean = expected.iter().sum::<f32>() / count;
         let light = expected.iter().map(|c| c * c).sum::<f32>() / count + known * known;
@@ -263,6 +271,7 @@ impl Notes<'_> {
         for (sum, more) in self.sums[3..].iter_mut().zip(more) {
             *sum += more;
         }
+        self.sums[9] += (sunny * ONE) as i64;
     }
 
     /// Adds the pixel's samples to their region's.
@@ -308,6 +317,8 @@ struct Region {
     places: f64,
     rays: f64,
     samples: f64,
+    /// How many of them would be all that trace rays for a sun.
+    sunny: f64,
     /// Their price.
     shadow_rays: f64,
 }
@@ -319,7 +330,7 @@ impl Region {
     }
 
     fn price(&self, Choice { views, deals }: Choice) -> f64 {
-        self.shadow_rays + self.samples * f64::from(views) * if deals { DEALT } else { 1.0 }
+        self.shadow_rays + f64::from(views) * (self.samples * if deals { DEALT } else { 1.0 } + self.sunny * SUNRAYS)
     }
 
     /// What each sample has where a price of one is worth so much error.
@@ -335,7 +346,7 @@ mod tests {
 
     const NOISY: [f32; 3] = [0.15, 0.1, 0.0];
     const FLAT: Seen<'_> =
-        Seen { expected: &[1.0, 1.0], known: 1.0, noise: 0.0, traced: true, dealt: false, saved: None };
+        Seen { expected: &[1.0, 1.0], known: 1.0, noise: 0.0, sunny: 0.0, traced: true, dealt: false, saved: None };
 
     fn take_in(views: &Views, pixel: [u32; 2], expected: &[f32], known: f32) {
         views.notes().take_in(pixel, Seen { expected, known, ..FLAT });
@@ -388,6 +399,24 @@ mod tests {
         assert_eq!(chosen(NOISY, NOISY, 4), [4, 4]);
         // n² = 2 (3 + 16)/100 < 2.
         assert_eq!(chosen([0.01, 0.1, 0.0], [0.01, 0.1, 0.0], 1), [1, 1]);
+    }
+
+    /// n² = 4.5 (3 + 16)/(1 + 2) = 28.5, or 43 if half of them have such rays. (Four cost 0.0213 · 31 or 27, eight 0.0156 · 43
+    /// or 35.)
+    #[test]
+    fn rays_for_a_sun_have_their_price() {
+        let of = |sunny: f32| {
+            let mut views = Views::new([REGION, REGION], 1, 16);
+            let mut notes = views.notes();
+            for i in 0..100 {
+                let known = 1.15 + if i % 2 == 0 { 0.1 } else { -0.1 };
+                notes.take_in([i % REGION, 0], Seen { expected: &[1.15, 0.85], known, sunny, ..FLAT });
+            }
+            drop(notes);
+            views.settle();
+            views.of([0, 0]).views
+        };
+        assert_eq!([0.0, 0.5, 1.0].map(of), [8, 8, 4]);
     }
 
     /// What goes by place in the pixel falls by N^¼ more than what goes by ray: n² = 85, 21, 5.
@@ -534,7 +563,7 @@ mod tests {
         assert_eq!(sums(), before);
         // A black sample: it has its price.
         take_in(&views, [0, 0], &[0.0, 0.0], 0.0);
-        let [.., samples, noted, traced, _, _] = before;
+        let [.., samples, noted, traced, _, _, _] = before;
         assert_eq!(sums()[4..7], [samples + 1, noted, traced + 1]);
         assert_eq!((&sums()[..3], &sums()[7..]), (&before[..3], &before[7..]));
     }
