@@ -4,6 +4,7 @@ use super::grid::Grid;
 use super::triangle::Triangle;
 use crate::sampler::cells::DomeCells;
 use crate::sampler::tessellation::{Cells, Tessellation};
+use crate::simd::{Kernel, dispatch};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
@@ -200,6 +201,7 @@ fn column(triangle: &Triangle, pieces: &[Piece], total: f64, normals: &[Vec3]) -
     let ends = triangle.corners().into_iter().chain(pieces.iter().map(|&(at, _)| at));
     let sine = (ends.map(|end| (end - axis).length_squared()).fold(0.0, f64::max).sqrt() + 1e-6).min(1.0);
     let floor = FLOOR * triangle.solid_angle / (4.0 * std::f64::consts::PI);
+    let lanes: Vec<Lanes> = pieces.chunks(LANES).map(side_by_side).collect();
     let irradiance = |normal: &Vec3| {
         let normal = normal.as_dvec3();
         let height = normal.dot(axis);
@@ -209,11 +211,54 @@ fn column(triangle: &Triangle, pieces: &[Piece], total: f64, normals: &[Vec3]) -
         } else if height <= -sine {
             0.0
         } else {
-            scale * pieces.iter().map(|&(at, energy)| energy * at.dot(normal).max(0.0)).sum::<f64>()
+            scale * dispatch(Arriving { lanes: &lanes, normal })
         };
         (exact + floor * (height + sine).max(0.0)) as f32
     };
     normals.iter().map(irradiance).collect()
+}
+
+/// Pieces that are summed up together.
+const LANES: usize = 16;
+
+/// A row for x, y, z and the energy of each.
+type Lanes = [[f64; LANES]; 4];
+
+/// At most so many pieces; where there are fewer the rest have no energy.
+fn side_by_side(pieces: &[Piece]) -> Lanes {
+    let mut lanes = Lanes::default();
+    for (i, &(at, energy)) in pieces.iter().enumerate() {
+        for (row, value) in lanes.iter_mut().zip([at.x, at.y, at.z, energy]) {
+            row[i] = value;
+        }
+    }
+    lanes
+}
+
+/// What arrives from all pieces on a surface that faces `normal`.
+struct Arriving<'a> {
+    lanes: &'a [Lanes],
+    normal: DVec3,
+}
+
+impl Kernel for Arriving<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn run(self) -> f64 {
+        let n = self.normal;
+        let mut sums = [0.0; LANES];
+        for [x, y, z, energy] in self.lanes {
+            let mut cosines = [0.0; LANES];
+            for i in 0..LANES {
+                cosines[i] = x[i] * n.x + y[i] * n.y + z[i] * n.z;
+            }
+            for i in 0..LANES {
+                sums[i] += energy[i] * if cosines[i] > 0.0 { cosines[i] } else { 0.0 };
+            }
+        }
+        sums.iter().sum()
+    }
 }
 
 #[cfg(test)]
