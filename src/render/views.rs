@@ -367,6 +367,14 @@ mod tests {
         }
     }
 
+    /// How many camera rays a region has of which a hundred samples were taken in.
+    fn chosen<'a>(sample: impl Fn(u32) -> Seen<'a>) -> u32 {
+        let mut views = Views::new([REGION, REGION], 1, 16);
+        (0..100).for_each(|i| views.notes().take_in([i % REGION, 0], sample(i)));
+        views.settle();
+        views.of([0, 0]).views
+    }
+
     /// Views of two regions with 16 shadow rays a sample, of which `samples` a pixel.
     fn seen_by(samples: u32, left: [f32; 3], right: [f32; 3], traced: u32) -> Views {
         let mut views = Views::new([2 * REGION, REGION], samples, 16);
@@ -406,15 +414,10 @@ mod tests {
     #[test]
     fn rays_for_a_sun_have_their_price() {
         let of = |sunny: f32| {
-            let mut views = Views::new([REGION, REGION], 1, 16);
-            let mut notes = views.notes();
-            for i in 0..100 {
+            chosen(|i| {
                 let known = 1.15 + if i % 2 == 0 { 0.1 } else { -0.1 };
-                notes.take_in([i % REGION, 0], Seen { expected: &[1.15, 0.85], known, sunny, ..FLAT });
-            }
-            drop(notes);
-            views.settle();
-            views.of([0, 0]).views
+                Seen { expected: &[1.15, 0.85], known, sunny, ..FLAT }
+            })
         };
         assert_eq!([0.0, 0.5, 1.0].map(of), [8, 8, 4]);
     }
@@ -509,17 +512,11 @@ mod tests {
     /// places would do.
     #[test]
     fn what_a_suns_rays_differ_by_is_no_difference_between_places() {
-        let of = |known_noise: f32| {
-            let mut views = Views::new([REGION, REGION], 1, 16);
-            let mut notes = views.notes();
-            for i in 0..100 {
-                let at = if i % 2 == 0 { 0.1 } else { -0.1 };
-                let sample = Seen { expected: &[1.0 + at, 1.0 - at], known: 1.0 + at, noise: known_noise, ..FLAT };
-                notes.take_in([i % REGION, 0], sample);
-            }
-            drop(notes);
-            views.settle();
-            views.of([0, 0]).views
+        let of = |noise: f32| {
+            chosen(|i| {
+                let expected: &[f32] = if i % 2 == 0 { &[1.1, 0.9] } else { &[0.9, 1.1] };
+                Seen { expected, known: expected[0], noise, ..FLAT }
+            })
         };
         // W = 2·0.1², all of it.
         assert_eq!([0.0, 0.02].map(of), [MOST, 1]);

@@ -122,6 +122,7 @@ mod tests {
     use crate::sampler::tessellation::Cells;
     use crate::sampler::{DomeSampler, Point};
     use glam::DVec3;
+    use std::f64::consts::PI;
     use std::sync::Arc;
 
     /// A bright sky with a sun of many texels, of all colours and down to a hundredth of the brightest.
@@ -176,6 +177,29 @@ mod tests {
         let none = sampler(&sky, "tessellated");
         none.draw_sun(&point(Vec3::Y, 1), 4, &mut draws);
         assert!(none.sun.groups().is_empty() && draws.dir.is_empty());
+    }
+
+    /// Each sixteenth of a texel's width has one of sixteen directions, and so has each of its height: a shadow's edge across it
+    /// is seen where it is, whichever way it runs.
+    #[test]
+    fn directions_are_even_across_and_down() {
+        let grid = Grid::new(256, 128, 0.0);
+        let texels = (0..grid.len()).map(|i| if i == 30 * 256 + 70 { [1e4; 3] } else { [0.1; 3] }).collect();
+        let sampler = sampler(&Arc::new(Dome { grid, texels, faults: Faults::default() }), "tessellated");
+        let [left, right] = [70.0, 71.0].map(|column| grid.azimuth(column));
+        let [top, bottom] = [30.0, 31.0].map(|row: f64| (row / 128.0 * PI).cos());
+        let mut draws = Draws::default();
+        for seed in 0..8 {
+            sampler.draw_sun(&point(Vec3::Y, seed), 16, &mut draws);
+            let in_texel = |dir: DVec3| [(dir.z.atan2(dir.x) - left) / (right - left), (top - dir.y) / (top - bottom)];
+            let places: Vec<_> = draws.dir.iter().map(|dir| in_texel(dir.as_dvec3())).collect();
+            let inside = places.iter().filter(|place| place.iter().all(|side| (0.0..1.0).contains(side)));
+            let mut taken = [[0; 16]; 2];
+            for place in inside {
+                taken.iter_mut().zip(place).for_each(|(taken, side)| taken[(side * 16.0) as usize] += 1);
+            }
+            assert_eq!(taken, [[1; 16]; 2], "seed {seed}: {places:?}");
+        }
     }
 
     /// What the sun brings and what a sunless point's draws bring are all that there is, each what it should be: before anything
