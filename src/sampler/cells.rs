@@ -11,15 +11,15 @@ use glam::{DVec3, Vec3};
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-/// Images narrower than this are cut into finer cells, each side of a texel into a power of two.
+/// Images narrower than this, or less than half as high, are cut into finer cells, each side of a texel into a power of two.
 const LEAST_WIDTH: u32 = 256;
 
 /// A dome's cells.
 #[derive(Debug)]
 pub struct DomeCells {
     dome: Arc<Dome>,
-    /// How many cells a texel's side holds.
-    parts: u32,
+    /// How many cells a texel is wide and high.
+    parts: [u32; 2],
     width: u32,
     height: u32,
     /// ⌈2⁶⁴ / width⌉: rows by a multiplication.
@@ -101,13 +101,14 @@ struct Row {
 impl DomeCells {
     /// The cells of a dome.
     pub fn new(dome: Arc<Dome>) -> Self {
-        let parts = LEAST_WIDTH.div_ceil(dome.grid.width).max((LEAST_WIDTH / 2).div_ceil(dome.grid.height));
-        let parts = parts.next_power_of_two();
-        let (width, height) = (dome.grid.width * parts, dome.grid.height * parts);
+        // Side by side: a row of a thousand texels needs no finer columns, and a place has sixteen bits for each.
+        let across = LEAST_WIDTH.div_ceil(dome.grid.width).next_power_of_two();
+        let down = (LEAST_WIDTH / 2).div_ceil(dome.grid.height).next_power_of_two();
+        let (width, height) = (dome.grid.width * across, dome.grid.height * down);
         let half_azimuth = PI / f64::from(width);
         let columns = (0..width)
             .map(|i| {
-                let (sin, cos) = dome.grid.azimuth((f64::from(i) + 0.5) / f64::from(parts)).sin_cos();
+                let (sin, cos) = dome.grid.azimuth((f64::from(i) + 0.5) / f64::from(across)).sin_cos();
                 Column { cos, sin }
             })
             .collect::<Vec<_>>();
@@ -147,7 +148,7 @@ impl DomeCells {
         let reciprocal = u64::MAX / u64::from(width) + 1;
         Self {
             dome,
-            parts,
+            parts: [across, down],
             width,
             height,
             reciprocal,
@@ -188,24 +189,25 @@ impl DomeCells {
     /// The texel a cell belongs to.
     #[inline(always)]
     pub fn texel(&self, cell: u32) -> u32 {
-        if self.parts == 1 {
+        if self.parts == [1; 2] {
             return cell;
         }
         let (column, row) = self.place(cell);
-        row / self.parts * self.dome.grid.width + column / self.parts
+        row / self.parts[1] * self.dome.grid.width + column / self.parts[0]
     }
 
     /// The cell a direction lies in, whose texel is known.
     pub fn cell(&self, dir: Vec3, texel: u32) -> u32 {
-        if self.parts == 1 {
+        if self.parts == [1; 2] {
             return texel;
         }
         let grid = crate::dome::project::Grid { width: self.width, height: self.height, ..self.dome.grid };
         let (column, row) = self.place(grid.texel(dir));
         // Rounding may put the direction into a neighbour of the texel it came from.
-        let (tx, ty) = (texel % self.dome.grid.width * self.parts, texel / self.dome.grid.width * self.parts);
-        let column = column.clamp(tx, tx + self.parts - 1);
-        let row = row.clamp(ty, ty + self.parts - 1);
+        let [across, down] = self.parts;
+        let (tx, ty) = (texel % self.dome.grid.width * across, texel / self.dome.grid.width * down);
+        let column = column.clamp(tx, tx + across - 1);
+        let row = row.clamp(ty, ty + down - 1);
         row * self.width + column
     }
 
@@ -307,7 +309,7 @@ mod tests {
 
     #[test]
     fn a_direction_lies_in_its_cell_and_is_of_unit_length() {
-        for (w, h) in [(1, 1), (2, 1), (3, 7), (512, 256), (1023, 511)] {
+        for (w, h) in [(1, 1), (2, 1), (3, 7), (512, 256), (1023, 511), (1, 300), (1024, 1), (2048, 3), (65536, 1)] {
             let c = cells(w, h, 33.0);
             for cell in (0..c.count() as u32).step_by(1 + c.count() / 2000) {
                 for (x, y) in [(0.5, 0.5), (0.01, 0.01), (0.99, 0.99), (0.01, 0.99)] {
@@ -329,12 +331,13 @@ mod tests {
         for cell in [0, 5000, 77_777, c.count() as u32 - 1] {
             let mut sum = DVec3::ZERO;
             for i in 0..64 {
-                for j in 0..64 {
+                // At a pole the ring grows as the root of the height.
+                for j in 0..512 {
                     sum +=
-                        c.sides(c.locate(cell)).direction((i as f32 + 0.5) / 64.0, (j as f32 + 0.5) / 64.0).as_dvec3();
+                        c.sides(c.locate(cell)).direction((i as f32 + 0.5) / 64.0, (j as f32 + 0.5) / 512.0).as_dvec3();
                 }
             }
-            assert!((sum / 4096.0 - c.mean_direction(cell)).length() < 1e-6, "cell {cell}");
+            assert!((sum / 32768.0 - c.mean_direction(cell)).length() < 1e-6, "cell {cell}");
         }
         let total: f64 = (0..c.count() as u32).map(|cell| c.solid_angle(cell)).sum();
         assert!((total / (4.0 * PI) - 1.0).abs() < 1e-12);

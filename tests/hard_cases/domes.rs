@@ -175,7 +175,8 @@ fn all_zero_but_one_channel() {
 /// Goes wrong with: widths that are no powers of two, rows of one texel, a half-texel shift.
 #[test]
 fn a_constant_dome_of_any_size_is_a_furnace() {
-    for (width, height) in [(1, 1), (2, 1), (1, 2), (3, 7), (5, 1), (1, 64), (37, 19), (511, 3), (255, 127)] {
+    let small = [(1, 1), (2, 1), (1, 2), (3, 7), (5, 1), (1, 64), (37, 19), (511, 3), (255, 127)];
+    for (width, height) in small.into_iter().chain([(1, 300), (1024, 1), (2048, 3)]) {
         let dome = dome(width, height, |_, _| [0.7, 1.0, 1.3]);
         for plugin in SAMPLERS {
             for n in [Vec3::Y, Vec3::new(0.6, -0.48, 0.64)] {

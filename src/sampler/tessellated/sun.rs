@@ -58,7 +58,7 @@ impl OneSun {
             |&g: &usize| texels.leaves[g * LEAVES_A_GROUP..][..LEAVES_A_GROUP].iter().map(move |leaf| (g, leaf));
         let lit = |(g, leaf): (usize, &Span)| (leaf.begin..leaf.end).map(move |i| (g, texels.order()[i as usize]));
         let mut members: Vec<(usize, Lit)> = disc.iter().flat_map(leaves).flat_map(lit).collect();
-        // Columns from opposite the sun on, so that the image's seam is none of its.
+        // Columns from opposite the sun on: the image's seam is none of its.
         let opposite = (members[0].1.place.column() + cells.width() / 2) % cells.width();
         let column = |place: Place| (place.column() + cells.width() - opposite) % cells.width();
         members.sort_unstable_by_key(|(_, lit)| (lit.place.row(), column(lit.place)));
@@ -73,7 +73,6 @@ impl OneSun {
         let (mut rows, mut sums) = (Vec::new(), Vec::new());
         for members in members.chunk_by(|(_, a), (_, b)| a.place.row() == b.place.row()) {
             let energies: Vec<f64> = members.iter().map(energy).collect();
-            // Not a row that is black.
             if let Some(table) = Table::new(&energies) {
                 rows.push(Row { table, cells: members.iter().map(cell).collect() });
                 sums.push(energies.iter().sum());
@@ -94,7 +93,7 @@ impl OneSun {
             + self.rows.iter().map(of_row).sum::<usize>()
     }
 
-    /// So many directions, stratified together with those of all samples; none without a sun.
+    /// So many directions, stratified together with those of all samples that have as many; none without a sun.
     pub(super) fn draw(&self, numbers: Numbers, n: u32, target: Option<u32>, out: &mut Draws) {
         let Some(table) = &self.table else { return };
         for i in 0..n {
