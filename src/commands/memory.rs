@@ -51,7 +51,13 @@ impl Estimate {
             0
         };
         self.parts.push((format!("dome of {columns}x{rows}"), texels * TEXEL));
-        self.parts.push((format!("sampler {}", sampler.name()), texels * texel(sampler) + cache));
+        let prepared = match sampler.name() {
+            // While it is prepared. Sides shorter than that are cut into fewer cells.
+            "tessellated" => u64::from(columns.max(512)) * u64::from(rows.max(256)) * 36,
+            "latlong" => texels * 16,
+            _ => 0,
+        };
+        self.parts.push((format!("sampler {}", sampler.name()), prepared + cache));
         Ok(self)
     }
 
@@ -108,15 +114,6 @@ const LAYERS: u64 = 224;
 const VARIANCE: u64 = 120;
 /// A texel of the dome and of the planes it is decoded from.
 const TEXEL: u64 = 26;
-
-/// A texel in the sampler, while it is prepared.
-fn texel(sampler: &Params) -> u64 {
-    match sampler.name() {
-        "tessellated" => 36,
-        "latlong" => 16,
-        _ => 0,
-    }
-}
 
 /// A triangle in the acceleration structure, while it is built.
 fn triangle(accel: &Params) -> u64 {

@@ -41,7 +41,8 @@ const POINT: f64 = 3.0;
 /// The price of a camera ray that shadow rays are dealt out to, in others.
 const DEALT: f64 = 2.0;
 
-/// What a camera ray costs more, in others, that traces rays for a sun.
+/// What a camera ray costs more, in others, that traces rays for a sun: one as a rule. (Where they share so many that further
+/// camera rays bring no more, counting these once, and none with one camera ray, was no better in the mean of five scenes.)
 const SUNRAYS: f64 = 2.0;
 
 /// How many times as many as pay for the whole image a region may have.
@@ -84,7 +85,7 @@ pub(super) struct Seen<'a> {
     /// What the first of them turned out to be.
     pub(super) known: f32,
     /// The variance, in the mean, of what each expects by how few rays it has traced for a sun: these are shared out, as many in
-    /// all whatever the number of camera rays.
+    /// all whatever the number of camera rays, unless that is larger.
     pub(super) noise: f32,
     /// What share of them traced rays for a sun.
     pub(super) sunny: f32,
