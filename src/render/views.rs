@@ -11,11 +11,11 @@
 //! R + (V + W)/n. (What a sun's rays err by, which all camera rays of a sample share, is part of R.) In the mean over a
 //! pixel's N samples, whose places are stratified together, V and W fall as N^-3/2, as where an edge goes through the pixel, R
 //! as N^-5/4, as was measured. With a sample's shadow rays at the price of a camera rays, n of these cost a + n; where nothing
-//! is hit, n alone; where each traces rays for a sun, so much more. What counts is the whole image's error times its whole
-//! price: least
-//! where a further camera ray takes the same share off the error everywhere that it adds to the price. But an error is seen
-//! where it is, a horizon in one row of a region that is exact elsewhere: a region with less noise than the image has as many
-//! as its own error times its own price ask for, up to twice as many as pay for the image.
+//! is hit, n alone; where each traces rays for a sun (a single one does not, and is priced as if it did), so much more. What
+//! counts is the whole image's error times its whole price: least where a further camera ray takes the same share off the
+//! error everywhere that it adds to the price. But an error is seen where it is, a horizon in one row of a region that is
+//! exact elsewhere: a region with less noise than the image has as many as its own error times its own price ask for, up to
+//! twice as many as pay for the image.
 //!
 //! All is measured by the learning stages in between (`schedule`), before the samples that go by it are taken: how many
 //! camera rays these have depends on nothing that they see, and whatever their number, each sample weighs the same in its

@@ -59,13 +59,8 @@ fn irradiance(
         tile: 32,
     };
     let mut values = Vec::new();
-    let mut fresh = sampler(spec, dome, rays);
     for seed in 0..SEEDS {
-        // What others have learned is not for the next.
-        if fresh.learns() && seed > 0 {
-            fresh = sampler(spec, dome, rays);
-        }
-        let picture = shot.take(fresh.as_mut(), seed);
+        let picture = shot.take(sampler(spec, dome, rays).as_mut(), seed);
         assert_eq!(picture.counts.dropped, 0);
         values.extend(pixels(&picture).iter().map(|p| f64::from(p.y) * PI));
     }
