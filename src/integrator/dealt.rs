@@ -11,6 +11,7 @@ use super::{Lambert, Post, Queue};
 use crate::dome::Dome;
 use crate::sampler::Draws;
 use glam::Vec3;
+use std::mem;
 
 /// Directions after which a deal begins anew.
 pub(super) const HANDS: usize = 16;
@@ -89,54 +90,91 @@ fn shuffled(hand: usize, word: u32) -> usize {
     ((word | 1).wrapping_mul(hand as u32).wrapping_add(word >> 8) % HANDS as u32) as usize
 }
 
-/// A sample whose rays were dealt out, shuffled.
+/// A sample whose rays are noted.
 #[derive(Debug, Clone, Copy)]
-pub struct Deal {
+pub struct Note {
     /// The camera sample.
     sample: u32,
-    /// Its camera rays.
-    views: u32,
-    /// Its first shadow ray.
+    /// Its shadow rays: the first, and how many.
     first: u32,
-    /// How many these are.
     count: u32,
+    /// How many of these, the first ones, were dealt out, shuffled, and to how many camera rays.
+    dealt: u32,
+    views: u32,
+}
+
+/// What a noted sample's rays tell.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Told {
+    /// The camera sample.
+    pub sample: u32,
+    /// The variance, the luminance's, of what its rays bring, as far as it falls with their number: what two that are drawn one
+    /// after the other, from much the same of the dome, differ by.
+    pub noise: f32,
+    /// If they were dealt out: the part of the variance that n camera rays divide by n, for the light differs from place to place.
+    pub saved: f32,
 }
 
 impl Queue {
-    /// Notes a deal whose rays were queued from `first` on.
-    pub(super) fn note(&mut self, first: usize, draws: &Draws, own: &Post, posts: &[Option<Post>]) {
+    /// Says what the control variate takes each direction for that is traced, all of them drawn for the point itself.
+    pub(super) fn note(&mut self, draws: &Draws, k: Vec3) {
         let count = draws.dir.len();
+        for i in (0..count).filter(|&i| draws.fate[i] == TRACED) {
+            self.note_one(draws, count, i, k, 0);
+        }
+    }
+
+    /// The same of directions that were dealt out.
+    pub(super) fn note_dealt(&mut self, draws: &Draws, own: &Post, posts: &[Option<Post>]) {
+        let (count, before) = (draws.dir.len(), self.residuals.len());
         for i in (0..count).filter(|&i| draws.fate[i] == TRACED) {
             let view = self.dealt.view[i % HANDS];
             let post = posts[usize::from(view)].as_ref().filter(|_| view > 0).unwrap_or(own);
-            let control = draws.control[i] / (draws.pdf[i] * count as f32);
-            self.residuals.push((Dome::weight((post.lambert.k * draws.radiance.get(i) * control).to_array()), view));
+            self.note_one(draws, count, i, post.lambert.k, view);
         }
-        let (sample, views) = (self.sample, posts.len() as u32);
-        self.deals.push(Deal { sample, views, first: first as u32, count: (self.rays.len() - first) as u32 });
+        self.dealt_out = [(self.residuals.len() - before) as u32, posts.len() as u32];
     }
 
-    /// When only what arrives is left of the contributions: the part of each noted sample's variance, the luminance's, that
-    /// n camera rays divide by n, for the light differs from place to place. So much larger the products of its
-    /// rays' residuals (by how much more arrives than the control variate takes it for) are where two begin at the same place.
-    pub fn saved(&self) -> impl Iterator<Item = (u32, f32)> {
+    fn note_one(&mut self, draws: &Draws, count: usize, i: usize, reflected: Vec3, view: u8) {
+        let control = draws.control.get(i).map_or(0.0, |control| control / (draws.pdf[i] * count as f32));
+        self.residuals.push((Dome::weight((reflected * draws.radiance.get(i) * control).to_array()), view));
+    }
+
+    /// Notes the sample whose rays were queued from `first` on, when there were so many residuals. Those of which nothing was
+    /// said have no control variate.
+    pub fn end_note(&mut self, [first, residuals]: [usize; 2]) {
+        let count = self.rays.len() - first;
+        self.residuals.resize(residuals + count, (0.0, 0));
+        let [dealt, views] = mem::take(&mut self.dealt_out);
+        self.noted.push(Note { sample: self.sample, first: first as u32, count: count as u32, dealt, views });
+    }
+
+    /// When only what arrives is left of the contributions: what the rays of each noted sample tell. What n camera rays divide by
+    /// n is so much larger the products of rays' residuals (by how much more arrives than the control variate takes it for) are
+    /// where two begin at the same place.
+    pub fn told(&self) -> impl Iterator<Item = Told> {
         let mut residuals = self.residuals.iter();
-        self.deals.iter().filter_map(move |&Deal { sample, views, first, count }| {
+        self.noted.iter().map(move |&Note { sample, first, count, dealt, views }| {
             let (mut of_view, mut rays_of_view, mut squares) = ([0.0f32; HANDS], [0.0f32; HANDS], 0.0);
-            for (ray, &(control, view)) in (first..first + count).zip(&mut residuals) {
+            let (mut noise, mut before) = (0.0, 0.0);
+            for (i, (ray, &(control, view))) in (first..first + count).zip(&mut residuals).enumerate() {
                 let residual = Dome::weight(self.contributions.get(ray as usize).to_array()) - control;
-                of_view[usize::from(view)] += residual;
-                rays_of_view[usize::from(view)] += 1.0;
-                squares += residual * residual;
+                noise += if i % 2 == 1 { (residual - before) * (residual - before) } else { 0.0 };
+                before = residual;
+                if i < dealt as usize {
+                    of_view[usize::from(view)] += residual;
+                    rays_of_view[usize::from(view)] += 1.0;
+                    squares += residual * residual;
+                }
             }
             let sum: f32 = of_view.iter().sum();
             let of_views: f32 = of_view.iter().map(|sum| sum * sum).sum();
             // Ordered pairs of rays from the same place and from two, and the sums of their products.
             let pairs: f32 = rays_of_view.iter().map(|rays| rays * (rays - 1.0)).sum();
-            let others = (count * count.saturating_sub(1)) as f32 - pairs;
+            let others = (dealt * dealt.saturating_sub(1)) as f32 - pairs;
             let (same, different) = (of_views - squares, sum * sum - of_views);
             let saved = (same * (others / pairs) - different) / (1.0 - 1.0 / views as f32);
-            (pairs > 0.0 && others > 0.0).then_some((sample, saved))
+            Told { sample, noise, saved: if pairs > 0.0 && others > 0.0 { saved } else { 0.0 } }
         })
     }
 }
@@ -171,11 +209,42 @@ mod tests {
                     queue.push(Ray::new(Vec3::ZERO, Vec3::X), Vec3::splat(arrives as f32 / 16.0));
                     queue.residuals.push((0.5 / 16.0, view as u8));
                 }
-                queue.deals.push(Deal { sample, views: 4, first: 0, count: 16 });
-                sum += queue.saved().map(|(_, saved)| f64::from(saved)).sum::<f64>();
+                queue.dealt_out = [16, 4];
+                queue.end_note([0, 0]);
+                sum += queue.told().map(|told| f64::from(told.saved)).sum::<f64>();
             }
             let saved = sum / f64::from(samples);
             assert!((saved - expected).abs() < 0.01, "{saved}, not {expected}");
+        }
+    }
+
+    /// Eight rays from each of two parts of the dome, of which one has four times the light of the other: if all arrive none
+    /// differs from the next, if half do so by chance their variances are 8/4 (4² + 1)/16².
+    #[test]
+    fn noise_is_what_differs_from_one_ray_to_the_next() {
+        for (by_chance, controls, expected) in
+            [(false, false, 0.0), (false, true, 0.0), (true, false, 17.0 / 128.0), (true, true, 17.0 / 128.0)]
+        {
+            let (mut sum, samples) = (0.0, 20_000);
+            for sample in 0..samples {
+                let mut queue = Queue { sample, ..Queue::default() };
+                // Others stand before it in the queue.
+                queue.push(Ray::new(Vec3::ZERO, Vec3::X), Vec3::ONE);
+                for i in 0..16 {
+                    let light = if i < 8 { 4.0 } else { 1.0 } / 16.0;
+                    let arrives = if by_chance { (random::hash(&[sample, i, 7]) >> 31) as f32 } else { 1.0 };
+                    queue.push(Ray::new(Vec3::ZERO, Vec3::X), Vec3::splat(arrives * light));
+                    if controls {
+                        queue.residuals.push((0.5 * light, 0));
+                    }
+                }
+                queue.end_note([1, 0]);
+                let told: Vec<_> = queue.told().collect();
+                assert!(told.len() == 1 && told[0].sample == sample && told[0].saved == 0.0, "{told:?}");
+                sum += f64::from(told[0].noise);
+            }
+            let noise = sum / f64::from(samples);
+            assert!((noise - expected).abs() < 0.005, "{noise}, not {expected}");
         }
     }
 }

@@ -293,14 +293,17 @@ impl Shade<'_> {
         {
             let shuffle = queue.notes.then(|| self.point.numbers.word(0, 0xdea1));
             let hand = queue.dealt.deal(own, posts, draws.dir.len(), shuffle);
-            let first = queue.rays.len();
             let control = lambert.queue(true, draws, queue);
             if queue.notes {
-                queue.note(first, draws, own, posts);
+                queue.note_dealt(draws, own, posts);
             }
             return hand.k * draws.integral - control + hand.beside;
         }
-        k * draws.integral - lambert.queue(false, draws, queue)
+        let control = lambert.queue(false, draws, queue);
+        if queue.notes {
+            queue.note(draws, k);
+        }
+        k * draws.integral - control
     }
 
     /// Directions from the dome for both terms; returns what the control variate's integral is beyond its mean over them. The
@@ -318,7 +321,8 @@ impl Shade<'_> {
             for (i, &pdf) in pdf.iter().enumerate().skip(first).take(LANES) {
                 let (dir, radiance, target) = (dir.get(i), radiance.get(i), target.get(i));
                 let reflected = diffuse + shown.get(i).map_or(Vec3::ZERO, |shown| f0 * shown);
-                sum += radiance * reflected * control.get(i).map_or(0.0, |control| control / pdf);
+                let control = radiance * reflected * control.get(i).map_or(0.0, |control| control / pdf);
+                sum += control;
                 if radiance == Vec3::ZERO {
                     continue;
                 }
@@ -334,6 +338,9 @@ impl Shade<'_> {
                 let f = if partner { (diffuse + specular) / both } else { diffuse / alone + specular / both };
                 queue.push(Ray::new(origin, dir), radiance * f * cosine);
                 queue.targets.extend(target);
+                if queue.notes {
+                    queue.residuals.push((Dome::weight(control.to_array()) / n, 0));
+                }
             }
         }
         diffuse * draws.integral + f0 * draws.integral_shown - sum / n

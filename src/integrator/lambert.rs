@@ -218,6 +218,7 @@ fn chunk<const N: usize>(row: &[f32], at: usize) -> [f32; N] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dome::Dome;
     use crate::integrator::Post;
     use crate::random;
 
@@ -249,7 +250,7 @@ mod tests {
             assert!(
                 (hand.k - k).abs().max_element() < 1e-6 && (hand.beside.x - 0.75 * moved / count as f32).abs() < 1e-6
             );
-            let (mut rays, mut hidden, mut control) = (Vec::new(), Vec::new(), Vec3::ZERO);
+            let (mut rays, mut hidden, mut residuals, mut control) = (Vec::new(), Vec::new(), Vec::new(), Vec3::ZERO);
             for i in 0..count {
                 let up = lowest + (1.0 - lowest) * unit(i, 0);
                 let dir = Vec3::new((1.0 - up * up).sqrt() * if i % 2 == 0 { 1.0 } else { -1.0 }, up, 0.0);
@@ -260,17 +261,28 @@ mod tests {
                 draws.control.push(of_control);
                 draws.target.push(100 + i);
                 let Lambert { origin, ng, ns, k } = whose(i);
-                control += k * radiance * (of_control / pdf) / count as f32;
+                let controlled = k * radiance * (of_control / pdf) / count as f32;
+                control += controlled;
                 if dir.dot(ns) <= 0.0 || dir.dot(ng) <= 0.0 {
                     hidden.extend((!black).then_some((100 + i, 1 + rays.len() as u32)));
                 } else if !black {
                     let adds = radiance * k / count as f32 * (dir.dot(ns) / pdf);
+                    let view = if deal.is_some() && i % 16 % 4 == 2 { 2 } else { 0 };
                     rays.push((Ray::new(origin, dir), adds, 100 + i));
+                    residuals.push((Dome::weight(controlled.to_array()), view));
                 }
             }
             assert_eq!(lowest < 0.0, rays.len() < count as usize, "both kinds are tried");
             let reflected = point.queue(deal.is_some(), &mut draws, &mut queue);
             assert!((reflected - control).abs().max_element() < 1e-6, "{count}: {reflected}, not {control}");
+            match deal {
+                Some(_) => queue.note_dealt(&draws, &own, &posts),
+                None => queue.note(&draws, point.k),
+            }
+            assert_eq!(queue.residuals.len(), residuals.len());
+            for (noted, of_ray) in queue.residuals.iter().zip(residuals) {
+                assert!((noted.0 - of_ray.0).abs() < 1e-6 && noted.1 == of_ray.1, "{noted:?}, not {of_ray:?}");
+            }
             assert_eq!((queue.rays.len(), queue.contributions.len()), (1 + rays.len(), 1 + rays.len()));
             assert_eq!(queue.samples, [(7, 1 + rays.len() as u32)]);
             assert_eq!(queue.hidden, hidden);

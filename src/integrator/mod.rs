@@ -12,7 +12,7 @@ mod lobe;
 mod sun;
 pub mod visibility;
 
-pub use dealt::{Deal, Dealt};
+pub use dealt::{Dealt, Note, Told};
 pub use gloss::Candidates;
 pub use lambert::Lambert;
 
@@ -134,12 +134,14 @@ pub struct Queue {
     pub hidden: Vec<(u32, u32)>,
     /// The camera sample that is being shaded.
     pub sample: u32,
-    /// Whether deals are noted, for [`Self::saved`].
+    /// Whether the sample that is being shaded is noted, for [`Self::told`].
     pub notes: bool,
-    /// Those noted.
-    pub deals: Vec<Deal>,
+    /// Samples noted.
+    pub noted: Vec<Note>,
     /// Of each of their rays what the control variate takes for it, a luminance, and the camera ray that it begins at.
     pub residuals: Vec<(f32, u8)>,
+    /// How many rays of the sample that is being shaded were dealt out, and to how many camera rays.
+    pub(self) dealt_out: [u32; 2],
     /// Scratch: directions that a lobe might take.
     pub candidates: Candidates,
     /// Scratch: who has which direction.
@@ -198,7 +200,7 @@ impl Queue {
         self.samples.clear();
         self.targets.clear();
         self.hidden.clear();
-        self.deals.clear();
+        self.noted.clear();
         self.residuals.clear();
     }
 }

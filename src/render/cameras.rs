@@ -28,6 +28,8 @@ pub(super) struct CameraSample {
     pub(super) view: u32,
     /// How many there are of its sample.
     pub(super) views: u32,
+    /// The sample's shadow rays.
+    pub(super) rays: u32,
     /// Whether shadow rays are dealt out to them, and whether what that saves is noted.
     pub(super) deals: bool,
     pub(super) noted: bool,

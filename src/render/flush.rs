@@ -35,7 +35,7 @@ pub(super) fn flush(world: &World<'_>, s: &mut Scratch, counts: &mut Counts) {
     if s.cameras.weights.is_empty() {
         counts.max_weight = counts.max_weight.max(most);
     }
-    s.saved.extend(queue.saved());
+    s.told.extend(queue.told());
     let [r, g, b] = queue.contributions.rows();
     let mut first = 0;
     for &(sample, rays) in &queue.samples {

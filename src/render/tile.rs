@@ -21,7 +21,7 @@ use crate::dome::Dome;
 use crate::dome::project::Grid;
 use crate::film::{AovSample, Part, Sample};
 use crate::integrator::visibility::{self, nearest};
-use crate::integrator::{Lambert, Post, Queue, Shading, Sunrays, World};
+use crate::integrator::{Lambert, Post, Queue, Shading, Sunrays, Told, World};
 use crate::random;
 use crate::sampler::shadow_cache::NO_TARGET;
 use crate::sampler::{DomeSampler, Draws, Numbers};
@@ -39,11 +39,11 @@ impl Render<'_> {
     /// What each camera sample of a pixel has.
     fn choice(&self, sampler: &dyn DomeSampler, (pass, views): (&Pass, &Views), pixel: [u32; 2]) -> Choice {
         match (self.settings.camera_rays, pass.looks) {
-            _ if !self.integrator.expects(sampler) => Choice::ONE,
-            (Some(views), _) => Choice { views, deals: true },
+            _ if !self.integrator.expects(sampler) => Choice::one(self.settings.rays),
+            (Some(views), _) => Choice { views, deals: true, rays: self.settings.rays },
             (None, Looks { least, .. }) => {
-                let Choice { views, deals } = views.of(pixel);
-                Choice { views: views.max(least), deals }
+                let choice = views.of(pixel);
+                Choice { views: choice.views.max(least), ..choice }
             }
         }
     }
@@ -75,7 +75,7 @@ impl Render<'_> {
         for i in 0..s.pixels.len() {
             let (_, pixel, of_pixel) = s.pixels[i];
             let (numbers, places) = (seed(of_pixel, pass.sequence, 1), seed(of_pixel, pass.replicate, 0));
-            let Choice { views, deals } = self.choice(world.sampler, (pass, seen), pixel);
+            let Choice { views, deals, rays } = self.choice(world.sampler, (pass, seen), pixel);
             let (of_spots, first) = (spots.of(pixel), s.cameras.samples.len());
             // Whose shadow rays begin elsewhere has seen what is weighed there, not here.
             let (spotted, aimed) = (!of_spots.is_empty(), false);
@@ -96,6 +96,7 @@ impl Render<'_> {
                         numbers,
                         view,
                         views,
+                        rays,
                         deals,
                         noted,
                         spotted,
@@ -116,6 +117,7 @@ impl Render<'_> {
                             numbers: Numbers { seed: numbers, sample: i },
                             view: 0,
                             views: 1,
+                            rays,
                             deals: false,
                             noted: false,
                             spotted,
@@ -152,7 +154,7 @@ impl Render<'_> {
         s.glints.clear();
         s.suns.clear();
         s.posts.clear();
-        s.saved.clear();
+        s.told.clear();
         let gloss = self.scene.needs.gloss;
         s.cameras.place();
         for (&CameraSample { pixel: [x, y], .. }, &[u, v]) in s.cameras.samples.iter().zip(&s.cameras.places) {
@@ -166,7 +168,7 @@ impl Render<'_> {
         let mut waiting = None;
         for i in 0..s.rays.len() {
             let camera = s.cameras.samples[i];
-            let CameraSample { views, deals, .. } = camera;
+            let CameraSample { views, rays, deals, .. } = camera;
             let shaded = camera.is_shaded();
             let (ray, hit) = (s.rays[i], s.hits[i]);
             let (ray, hit) = (&ray, &hit);
@@ -199,12 +201,11 @@ impl Render<'_> {
             if mirrors {
                 place(&mut surface);
             }
-            let rays = self.settings.rays;
             let mut radiance = Vec3::ZERO;
             let first = s.posts.len() - if deals { camera.view as usize } else { 0 };
             let (mut post, mut sunrays) = (None, None);
             if views > 1 {
-                let point = shading(&camera, ray, hit, &surface, rays);
+                let point = shading(&camera, ray, hit, &surface);
                 let expected = self.integrator.expected(world, &point, camera.own(), &mut s.draws);
                 (radiance, post, sunrays) = (expected.radiance, expected.post, expected.sunrays);
                 if sunrays.is_some() {
@@ -241,7 +242,7 @@ impl Render<'_> {
             });
             s.samples.push(Sample { radiance, alpha: 1.0, aovs });
             let sunless = sunrays.is_some();
-            let point = Shading { sunless, ..shading(&camera, ray, hit, &surface, rays) };
+            let point = Shading { sunless, ..shading(&camera, ray, hit, &surface) };
             if shaded {
                 s.expected.push(radiance);
                 self.integrator.begin(world, &point, &mut s.draws);
@@ -310,10 +311,10 @@ impl Render<'_> {
         let mut mirrors = s.mirrored.iter().peekable();
         let mut glints = s.glints.iter().peekable();
         let mut suns = s.suns.iter().peekable();
-        let mut saved = s.saved.iter().peekable();
+        let mut told = s.told.iter().peekable();
         let mut notes = seen.notes();
         for &expected in &s.expected {
-            let CameraSample { pixel, views, deals: dealt, noted, spotted, .. } = s.cameras.samples[first];
+            let CameraSample { pixel, views, rays, deals: dealt, noted, spotted, .. } = s.cameras.samples[first];
             let of_sample = &s.samples[first..first + views as usize];
             s.lights.clear();
             s.lights.extend(of_sample.iter().map(|sample| light(sample.radiance)));
@@ -336,12 +337,12 @@ impl Render<'_> {
             while let Some(&(sample, glint)) = glints.next_if(|glint| of.contains(&glint.0)) {
                 s.lights[sample as usize - first] += light(glint);
             }
-            let saved = saved.next_if(|saved| saved.0 as usize == first).map_or(0.0, |saved| saved.1);
-            let (traced, saved) = (s.hits[first].is_hit(), noted.then_some(saved));
+            let (traced, told) = (s.hits[first].is_hit(), told.next_if(|told| told.sample as usize == first));
+            let told = noted.then(|| told.map_or([0.0; 2], |told| [told.noise, told.saved]));
             // Beside samples that are aimed others weigh less the brighter they are: such pixels are no measure.
             if !spotted {
                 let noise = noise / views as f32;
-                notes.take_in(pixel, Seen { expected: &s.lights, known, noise, sunny, traced, dealt, saved });
+                notes.take_in(pixel, Seen { expected: &s.lights, known, noise, sunny, rays, traced, dealt, told });
             }
             first += views as usize;
         }
@@ -351,15 +352,18 @@ impl Render<'_> {
     fn shade(&self, world: &World<'_>, pass: &Pass, waiting: &Waiting, s: &mut Scratch, counts: &mut Counts) {
         let &Waiting { sample, posts, distance, ref surface, sunless, mirrors } = waiting;
         let camera = s.cameras.samples[sample];
-        let CameraSample { pixel, numbers, views, deals, noted, .. } = camera;
+        let CameraSample { pixel, numbers, views, rays, deals, noted, .. } = camera;
         let posts = &s.posts[posts..][..if deals { views as usize } else { 0 }];
         let views = views as f32;
-        let rays = self.settings.rays;
         let point = Shading { pixel, distance, wo: -s.rays[sample].dir, surface, numbers, rays, sunless, posts };
         s.queue.sample = sample as u32;
         s.queue.notes = noted;
         let (rays_before, hidden_before) = (s.queue.targets.len(), s.queue.hidden.len());
+        let noted_from = [s.queue.rays.len(), s.queue.residuals.len()];
         let known = self.integrator.shade(world, &point, &mut s.draws, &mut s.queue);
+        if noted {
+            s.queue.end_note(noted_from);
+        }
         if camera.aimed {
             // What lies where a sun shows is not what lies about it.
             s.queue.targets[rays_before..].fill(NO_TARGET);
@@ -398,8 +402,8 @@ impl Render<'_> {
 }
 
 /// The point that a camera ray has met.
-fn shading<'a>(camera: &CameraSample, ray: &Ray, hit: &Hit, surface: &'a Surface, rays: u32) -> Shading<'a> {
-    let &CameraSample { pixel, numbers, .. } = camera;
+fn shading<'a>(camera: &CameraSample, ray: &Ray, hit: &Hit, surface: &'a Surface) -> Shading<'a> {
+    let &CameraSample { pixel, numbers, rays, .. } = camera;
     Shading { pixel, distance: hit.t, wo: -ray.dir, surface, numbers, rays, sunless: false, posts: &[] }
 }
 
@@ -481,8 +485,8 @@ pub(super) struct Scratch {
     pub(super) glints: Vec<(u32, Vec3)>,
     /// What the sun adds to those that have rays for it.
     pub(super) suns: Vec<Sunny>,
-    /// What dealing out the rays of shaded ones saves: see [`Queue::saved`].
-    pub(super) saved: Vec<(u32, f32)>,
+    /// What the rays of those noted tell.
+    pub(super) told: Vec<Told>,
     lights: Vec<f32>,
     pub(super) occluded: Vec<u8>,
     draws: Draws,

@@ -1,5 +1,5 @@
-//! How many camera rays a camera sample is worth, and whether its shadow rays are dealt out to them: what each region of the
-//! image asks for.
+//! How many shadow rays and camera rays a camera sample is worth, and whether the former are dealt out to the latter: what each
+//! region of the image asks for.
 //!
 //! A sample errs by where in the pixel it looks (what is expected, C, differs from place to place, so does what a mirror
 //! shows, which counts towards C, and so does what its shadow rays bring beside that, D = I − C) and by its shadow rays' own
@@ -17,65 +17,36 @@
 //! exact elsewhere: a region with less noise than the image has as many as its own error times its own price ask for, up to
 //! twice as many as pay for the image.
 //!
-//! All is measured by the learning stages in between (`schedule`), before the samples that go by it are taken: how many
-//! camera rays these have depends on nothing that they see, and whatever their number, each sample weighs the same in its
-//! pixel.
+//! The shadow rays' own noise, by far the most of R as a rule, is what two of a sample's that are drawn one after the other
+//! differ by. It says where more of them are worth tracing; as many as were asked for are shared out by it before all else.
+//!
+//! All is measured by the learning stages in between (`schedule`), before the samples that go by it are taken: how many rays
+//! these have depends on nothing that they see, and whatever their number, each sample weighs the same in its pixel.
 //!
 //! Sums are integers, so that they are the same in whatever order tiles and threads add to them.
 
+mod regions;
+
+pub(super) use regions::Choice;
+use regions::{Region, choices};
+use std::f64::consts::LN_2;
 use std::io::{self, Read, Write};
-use std::iter;
 use std::mem;
 use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
 
 /// Side of a region, pixels.
 const REGION: u32 = 32;
 
-/// Camera rays for each camera sample, at most.
-const MOST: u32 = 16;
+/// What errors count against beside the light where they are, of the square of the image's mean: an error in the dark is not
+/// seen beside what is bright. (A sample's light is counted twice, by what was expected and what it is.)
+const GLARE: f64 = 2.0;
 
-/// The price of a shadow ray, and of what else a shaded sample costs, in camera rays: by the clock it is .7 to 2 and 3.
-const RAY: f64 = 1.0;
-const POINT: f64 = 3.0;
-
-/// The price of a camera ray that shadow rays are dealt out to, in others.
-const DEALT: f64 = 2.0;
-
-/// What a camera ray costs more, in others, that traces rays for a sun: one as a rule. (Where they share so many that further
-/// camera rays bring no more, counting these once, and none with one camera ray, was no better in the mean of five scenes.)
-const SUNRAYS: f64 = 2.0;
-
-/// How many times as many as pay for the whole image a region may have.
-const OWN: f64 = 2.0;
-
-/// Rounds in which the image's error and the regions' choices settle.
-const ROUNDS: u32 = 16;
-
-/// What errors count against beside the light where they are, of the square of the image's logarithmic mean: an error in the
-/// dark is not seen beside what is bright.
-const GLARE: f32 = 0.5;
+/// The most that counts of how the light's logarithm, to the base 2, spreads: of two lights far apart the mean would be brighter
+/// than either.
+const MOST_SPREAD: f64 = 4.0;
 
 /// What a term counts that is as large as the light itself.
-const ONE: f32 = 65536.0;
-
-/// What a camera sample has.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Choice {
-    /// Camera rays.
-    pub(super) views: u32,
-    /// Whether its shadow rays are dealt out to them.
-    pub(super) deals: bool,
-}
-
-impl Choice {
-    pub(super) const ONE: Self = Self { views: 1, deals: false };
-
-    /// All that a region may choose: powers of two, so that they share out the pixel evenly.
-    fn all() -> impl Iterator<Item = Self> {
-        let several = (1..=MOST.ilog2()).flat_map(|n| [false, true].map(|deals| Self { views: 1 << n, deals }));
-        iter::once(Self::ONE).chain(several)
-    }
-}
+const ONE: f64 = 65536.0;
 
 /// A sample that was looked at.
 #[derive(Debug, Clone, Copy)]
@@ -89,16 +60,47 @@ pub(super) struct Seen<'a> {
     pub(super) noise: f32,
     /// What share of them traced rays for a sun.
     pub(super) sunny: f32,
+    /// How many shadow rays were asked for.
+    pub(super) rays: u32,
     /// Whether that one traced shadow rays.
     pub(super) traced: bool,
     /// Whether these were dealt out.
     pub(super) dealt: bool,
-    /// If that was noted: what it takes off the variance, were there any number of camera rays.
-    pub(super) saved: Option<f32>,
+    /// If its shadow rays were noted: their own variance, and what dealing them out takes off the variance, were there any number
+    /// of camera rays.
+    pub(super) told: Option<[f32; 2]>,
 }
 
 /// What is summed up of a region.
-type Sums<T> = [T; 10];
+#[derive(Debug, Clone, Copy)]
+enum Sum {
+    /// Σ W of the light, of either sign.
+    Between,
+    /// Σ R + V of the light.
+    Square,
+    /// Of the samples noted, Σ V of the light; the noise of their shadow rays, of which R + V has so much, and what that would be
+    /// with as many as were asked for.
+    Places,
+    Noise,
+    NoiseAsAsked,
+    /// What part of V is in each R + V.
+    PlacesInSquare,
+    /// Samples, those noted, and those that traced shadow rays.
+    Samples,
+    Noted,
+    Traced,
+    /// What parts of their camera rays traced rays for a sun.
+    Sunny,
+    /// Of all that have any light: how many, the sums of its logarithm and of that one's square.
+    Lit,
+    Logarithm,
+    LogarithmSquare,
+}
+
+const SUMS: usize = Sum::LogarithmSquare as usize + 1;
+
+/// By [`Sum`].
+type Sums<T> = [T; SUMS];
 
 /// What was seen of the image's regions.
 #[derive(Debug)]
@@ -110,9 +112,7 @@ pub(super) struct Views {
     left: f64,
     /// What errors count against beside the light where they are, as far as the image is known.
     glare: f32,
-    /// By region, relative to the light, sample by sample: Σ W (of either sign), Σ R + V, Σ V of those noted, and what part of V
-    /// is in each R + V; samples, those noted, and those that traced shadow rays; logarithms of their light, and how many have
-    /// any; what parts of their camera rays traced rays for a sun.
+    /// By region.
     sums: Vec<Sums<AtomicI64>>,
     /// By what was seen when the last pass ended.
     chosen: Vec<Choice>,
@@ -130,7 +130,7 @@ impl Views {
             left: f64::from(samples).powf(-0.25),
             glare: 0.0,
             sums: (0..count).map(|_| Default::default()).collect(),
-            chosen: vec![Choice::ONE; count],
+            chosen: vec![Choice::one(rays); count],
         }
     }
 
@@ -145,35 +145,13 @@ impl Views {
 
     /// Goes by all that was taken in from now on; between passes.
     pub(super) fn settle(&mut self) {
-        let price = POINT + RAY * f64::from(self.rays);
-        let of_image = |i: usize| self.sums.iter().map(|sums| sums[i].load(Relaxed)).sum::<i64>() as f64;
-        let [logarithms, lit] = [7, 8].map(of_image);
-        self.glare = if lit > 0.0 { GLARE * (2.0 * logarithms / lit / f64::from(ONE)).exp2() as f32 } else { 0.0 };
-        let of_region = |sums: &mut Sums<AtomicI64>| {
-            let [between, square, of_places, places_in_square, samples, noted, traced, _, _, sunny] =
-                sums.each_mut().map(|sum| *sum.get_mut() as f64);
-            let of_places = of_places.max(0.0) / noted.max(1.0);
-            Region {
-                between: between.max(0.0) * self.left,
-                places: of_places * samples * self.left,
-                rays: (square - of_places * places_in_square / f64::from(ONE)).max(0.0),
-                samples,
-                sunny: sunny / f64::from(ONE),
-                shadow_rays: price * traced,
-            }
-        };
-        let regions: Vec<Region> = self.sums.iter_mut().map(of_region).collect();
+        let of_image = |sum: Sum| self.sums.iter().map(|sums| sums[sum as usize].load(Relaxed)).sum::<i64>() as f64;
+        let [lit, logarithm, square] = [Sum::Lit, Sum::Logarithm, Sum::LogarithmSquare].map(of_image);
+        self.glare = if lit > 0.0 { glare(logarithm / lit / ONE, square / lit / ONE) } else { 0.0 };
+        let regions: Vec<_> =
+            self.sums.iter_mut().map(|sums| seen(sums.each_mut().map(|sum| *sum.get_mut()), self.left)).collect();
         // Not from the last choice on: a render that is gone on with must choose the same.
-        self.chosen.fill(Choice::ONE);
-        for _ in 0..ROUNDS {
-            let of_all =
-                |of: fn(&Region, Choice) -> f64| regions.iter().zip(&self.chosen).map(|(r, &c)| of(r, c)).sum::<f64>();
-            let worth = of_all(Region::error) / of_all(Region::price);
-            for (region, choice) in regions.iter().zip(&mut self.chosen) {
-                let own = region.rays / region.shadow_rays;
-                *choice = region.choice(own.min(worth).max(worth / (OWN * OWN)));
-            }
-        }
+        self.chosen = choices(&regions, self.rays);
     }
 
     /// What each camera sample of a pixel has.
@@ -196,6 +174,30 @@ impl Views {
     }
 }
 
+/// What errors count against beside the light, whose logarithm to the base 2 has this mean, and whose square this: the light's
+/// mean as if it were distributed log-normally, for a sun's own few pixels are next to nothing to these.
+fn glare(mean: f64, square: f64) -> f32 {
+    let spread = (square - mean * mean).clamp(0.0, MOST_SPREAD);
+    (GLARE * (2.0 * mean + LN_2 * spread).exp2()) as f32
+}
+
+/// What sums say of a region of which `left` is left of V and W, measured by R, in the mean over a pixel's samples.
+fn seen(sums: Sums<i64>, left: f64) -> Region {
+    let of = |sum: Sum| sums[sum as usize] as f64;
+    let (samples, noted) = (of(Sum::Samples), of(Sum::Noted).max(1.0));
+    let places = of(Sum::Places).max(0.0) / noted;
+    let in_square = places * of(Sum::PlacesInSquare) / ONE + of(Sum::Noise) / noted * samples;
+    Region {
+        between: of(Sum::Between).max(0.0) * left,
+        places: places * samples * left,
+        noise: of(Sum::NoiseAsAsked) / noted * samples,
+        rest: (of(Sum::Square) - in_square).max(0.0),
+        samples,
+        traced: of(Sum::Traced),
+        sunny: of(Sum::Sunny) / ONE,
+    }
+}
+
 /// Samples of one thread, most of them of the same region as the one before: threads share the sums.
 pub(super) struct Notes<'a> {
     views: &'a Views,
@@ -213,7 +215,7 @@ struct Pixel {
     samples: f32,
     /// Σ of the variance of C between places, and of its mean's by suns' rays.
     differs: f32,
-    noise: f32,
+    by_sun: f32,
     /// Σ D, Σ D².
     beside: f32,
     square: f32,
@@ -221,16 +223,27 @@ struct Pixel {
     /// makes these twice the covariance.
     out: f32,
     product: f32,
-    /// Σ V.
-    saved: f32,
+    /// Of those noted, Σ V, Σ of the shadow rays' noise, and of what that would be with as many as were asked for.
+    places: f32,
+    noise: f32,
+    noise_as_asked: f32,
     /// Σ of the light's square.
     light: f32,
 }
 
+/// `x` as it is summed up.
+fn whole(x: f32) -> i64 {
+    (x * ONE as f32) as i64
+}
+
 impl Notes<'_> {
+    fn sum(&mut self, sum: Sum, more: i64) {
+        self.sums[sum as usize] += more;
+    }
+
     /// Takes in a sample of a pixel.
     pub(super) fn take_in(&mut self, pixel: [u32; 2], sample: Seen<'_>) {
-        let Seen { expected, known, noise, sunny, traced, dealt, saved } = sample;
+        let Seen { expected, known, noise, sunny, rays, traced, dealt, told } = sample;
         let count = expected.len() as f32;
         let mean = expected.iter().sum::<f32>() / count;
         let light = expected.iter().map(|c| c * c).sum::<f32>() / count + known * known;
@@ -247,8 +260,10 @@ impl Notes<'_> {
             }
         }
         if known > 0.0 {
-            self.sums[7] += (known.log2() * ONE) as i64;
-            self.sums[8] += 1;
+            let logarithm = known.log2();
+            self.sum(Sum::Lit, 1);
+            self.sum(Sum::Logarithm, whole(logarithm));
+            self.sum(Sum::LogarithmSquare, whole(logarithm * logarithm));
         }
         if count < 2.0 {
             return;
@@ -257,28 +272,33 @@ impl Notes<'_> {
         let beside = known - expected[0];
         // The first is any of them: the mean of its product with how far it stands out is that of the covariance.
         let out = 2.0 * count / (count - 1.0) * (expected[0] - mean);
+        let by_sun = noise / count;
         of_pixel.samples += 1.0;
         of_pixel.differs += expected.iter().map(|c| (c - mean) * (c - mean)).sum::<f32>() / (count - 1.0);
-        of_pixel.noise += noise / count;
+        of_pixel.by_sun += by_sun;
         of_pixel.differs -= noise;
         of_pixel.beside += beside;
         of_pixel.square += beside * beside;
         of_pixel.out += out;
         of_pixel.product += out * beside;
-        of_pixel.saved += saved.unwrap_or(0.0);
         of_pixel.light += light + self.views.glare;
-        let places_in_square = ((if dealt { 1.0 / count } else { 1.0 }) * ONE) as i64;
-        let more = [places_in_square, 1, i64::from(saved.is_some()), i64::from(traced)];
-        for (sum, more) in self.sums[3..].iter_mut().zip(more) {
-            *sum += more;
+        if let Some([of_rays, places]) = told {
+            let of_rays = of_rays + by_sun;
+            of_pixel.places += places;
+            of_pixel.noise += of_rays;
+            of_pixel.noise_as_asked += of_rays * (rays as f32 / self.views.rays as f32);
         }
-        self.sums[9] += (sunny * ONE) as i64;
+        self.sum(Sum::PlacesInSquare, whole(if dealt { 1.0 / count } else { 1.0 }));
+        self.sum(Sum::Samples, 1);
+        self.sum(Sum::Noted, i64::from(told.is_some()));
+        self.sum(Sum::Traced, i64::from(traced));
+        self.sum(Sum::Sunny, whole(sunny));
     }
 
     /// Adds the pixel's samples to their region's.
     fn end_pixel(&mut self) {
-        let Pixel { samples: n, differs, noise, beside, square, out, product, saved, light, .. } =
-            mem::take(&mut self.pixel);
+        let pixel = mem::take(&mut self.pixel);
+        let Pixel { samples: n, differs, by_sun, beside, square, out, product, light, .. } = pixel;
         if n > 0.0 {
             // What D is in the pixel's mean is no noise, the correction of what is expected is meant to bring it. Of a single
             // sample it is not known.
@@ -289,10 +309,16 @@ impl Notes<'_> {
                 ),
                 false => (square, product),
             };
-            // Without light there is no number, which counts nothing; the sample has its price.
-            let more = [differs + product, square + noise, saved].map(|sum| (sum / light * n * ONE) as i64);
-            for (sum, more) in self.sums.iter_mut().zip(more) {
-                *sum += more;
+            let Pixel { places, noise, noise_as_asked, .. } = pixel;
+            for (sum, more) in [
+                (Sum::Between, differs + product),
+                (Sum::Square, square + by_sun),
+                (Sum::Places, places),
+                (Sum::Noise, noise),
+                (Sum::NoiseAsAsked, noise_as_asked),
+            ] {
+                // Without light there is no number, which counts nothing; the sample has its price.
+                self.sum(sum, whole(more / light * n));
             }
         }
     }
@@ -311,43 +337,22 @@ impl Drop for Notes<'_> {
     }
 }
 
-/// All samples of a region.
-struct Region {
-    /// W, V, R.
-    between: f64,
-    places: f64,
-    rays: f64,
-    samples: f64,
-    /// How many of them would be all that trace rays for a sun.
-    sunny: f64,
-    /// Their price.
-    shadow_rays: f64,
-}
-
-impl Region {
-    fn error(&self, Choice { views, deals }: Choice) -> f64 {
-        let views = f64::from(views);
-        self.rays + self.between / views + self.places / if deals { views } else { 1.0 }
-    }
-
-    fn price(&self, Choice { views, deals }: Choice) -> f64 {
-        self.shadow_rays + f64::from(views) * (self.samples * if deals { DEALT } else { 1.0 } + self.sunny * SUNRAYS)
-    }
-
-    /// What each sample has where a price of one is worth so much error.
-    fn choice(&self, worth: f64) -> Choice {
-        let counts = |choice| self.error(choice) + worth * self.price(choice);
-        Choice::all().min_by(|&a, &b| counts(a).total_cmp(&counts(b))).unwrap_or(Choice::ONE)
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use super::regions::MOST;
     use super::*;
 
     const NOISY: [f32; 3] = [0.15, 0.1, 0.0];
-    const FLAT: Seen<'_> =
-        Seen { expected: &[1.0, 1.0], known: 1.0, noise: 0.0, sunny: 0.0, traced: true, dealt: false, saved: None };
+    const FLAT: Seen<'_> = Seen {
+        expected: &[1.0, 1.0],
+        known: 1.0,
+        noise: 0.0,
+        sunny: 0.0,
+        rays: 16,
+        traced: true,
+        dealt: false,
+        told: None,
+    };
 
     fn take_in(views: &Views, pixel: [u32; 2], expected: &[f32], known: f32) {
         views.notes().take_in(pixel, Seen { expected, known, ..FLAT });
@@ -362,9 +367,9 @@ mod tests {
             let known = 1.0 + between + sign * beside;
             let traced = i % traced == 0;
             // Of two that are alike one is noted.
-            let (dealt, saved) = (saves > 0.0, (saves > 0.0 && i % 4 < 2).then_some(saves));
+            let (dealt, told) = (saves > 0.0, (saves > 0.0 && i % 4 < 2).then_some([0.0, saves]));
             let expected = &[1.0 + between, 1.0 - between];
-            notes.take_in([x + i % REGION, 0], Seen { expected, known, traced, dealt, saved, ..FLAT });
+            notes.take_in([x + i % REGION, 0], Seen { expected, known, traced, dealt, told, ..FLAT });
         }
     }
 
@@ -434,13 +439,13 @@ mod tests {
     fn shadow_rays_are_dealt_out_where_that_saves() {
         let chosen = |saves: f32| choices(&seen([0.0, 0.1, saves], [0.0, 0.1, saves], 1));
         // Error times price by hand: one camera ray 0.014 · 20; dealt out to two 0.010 · 23, four 0.008 · 27, eight 0.007 · 35.
-        assert_eq!(chosen(0.008), [Choice { views: 4, deals: true }; 2]);
+        assert_eq!(chosen(0.008), [Choice { views: 4, deals: true, rays: 16 }; 2]);
         // 0.012 · 20, 0.010 · 23, 0.009 · 27. (Half as much saved would not pay.)
-        assert_eq!(chosen(0.004), [Choice { views: 2, deals: true }; 2]);
+        assert_eq!(chosen(0.004), [Choice { views: 2, deals: true, rays: 16 }; 2]);
         // 0.0105 · 20, 0.010 · 23.
-        assert_eq!(chosen(0.001), [Choice::ONE; 2]);
+        assert_eq!(chosen(0.001), [Choice::one(16); 2]);
         // Camera rays that pay without need not be dealt out to.
-        assert_eq!(choices(&seen(NOISY, NOISY, 1)), [Choice { views: 8, deals: false }; 2]);
+        assert_eq!(choices(&seen(NOISY, NOISY, 1)), [Choice { views: 8, deals: false, rays: 16 }; 2]);
     }
 
     /// Alone it would have the most. Beside a noisy one it has twice as many as are worth it: of W = 2·0.1² these are 8, of the
@@ -483,11 +488,14 @@ mod tests {
         let mut views = Views::new([2 * REGION, REGION], 1, 16);
         background(&views);
         views.settle();
-        assert_eq!(views.of([0, 0]), Choice::ONE);
+        assert_eq!(views.of([0, 0]), Choice::one(16));
         take_in_many(&views, REGION, NOISY, 1);
         views.settle();
         // W = 0.0026 of the light, the other's R + W/n 0.0061 (of light and glare) for 19 + 8: n² = 13.
-        assert_eq!(choices(&views), [Choice { views: 4, deals: false }, Choice { views: 8, deals: false }]);
+        assert_eq!(
+            choices(&views),
+            [Choice { views: 4, deals: false, rays: 16 }, Choice { views: 8, deals: false, rays: 16 }]
+        );
     }
 
     /// Of a metal next to nothing is expected: what all samples of a pixel turn out to be is no noise.
@@ -523,7 +531,7 @@ mod tests {
         assert_eq!([0.0, 0.02].map(of), [MOST, 1]);
     }
 
-    /// As much noise for its light at a hundredth of the light: the image's logarithmic mean is ten times that. And so on.
+    /// As much noise for its light at a tenth and a hundredth of the light.
     #[test]
     fn an_error_in_the_dark_counts_for_less() {
         let of = |dark: f32| {
@@ -545,8 +553,9 @@ mod tests {
             of(&views)
         };
         assert_eq!(of(1.0), [8, 8]);
-        // Its error counts by 2/(2 + 0.5 · 10²), and it has twice as many as that asks for; by 2/(2 + 0.5 · 100²).
-        assert_eq!([of(0.01), of(0.0001)], [[4, 8], [1, 8]]);
+        // The mean is 0.61 of the bright one's, of a hundredth 0.26: the dark one's error counts by 0.024/(0.024 + 0.76), by
+        // 0.00024/(0.00024 + 0.14), and it has twice as many as the whole image's asks for.
+        assert_eq!([of(0.1), of(0.01)], [[4, 8], [1, 8]]);
     }
 
     #[test]
@@ -561,9 +570,31 @@ mod tests {
         assert_eq!(sums(), before);
         // A black sample: it has its price.
         take_in(&views, [0, 0], &[0.0, 0.0], 0.0);
-        let [.., samples, noted, traced, _, _, _] = before;
-        assert_eq!(sums()[4..7], [samples + 1, noted, traced + 1]);
-        assert_eq!((&sums()[..3], &sums()[7..]), (&before[..3], &before[7..]));
+        let mut after = before;
+        for (sum, more) in [(Sum::Samples, 1), (Sum::Traced, 1), (Sum::PlacesInSquare, whole(1.0))] {
+            after[sum as usize] += more;
+        }
+        assert_eq!(sums(), after);
+    }
+
+    /// A region's shadow rays have noise, its neighbours' next to none: twice as many of these as were asked for have seen the same
+    /// there as twice the noise with half as many.
+    #[test]
+    fn shadow_rays_go_by_their_own_noise_and_not_by_what_differs_from_pixel_to_pixel() {
+        let of = |rays: u32, noise: f32, differs: f32| {
+            let mut views = Views::new([4 * REGION, REGION], 1, 16);
+            for (region, i) in (0..4).flat_map(|region| (0..100).map(move |i| (region, i))) {
+                let known = 1.0 + if region == 0 && i % 2 == 0 { differs } else { 0.0 };
+                let (rays, noise) = if region == 0 { (rays, noise) } else { (16, 1e-4) };
+                let told = Some([noise, 0.0]);
+                views.notes().take_in([region * REGION + i % REGION, 0], Seen { known, rays, told, ..FLAT });
+            }
+            views.settle();
+            [0, 1, 2, 3].map(|region| views.of([region * REGION, 0]).rays)
+        };
+        assert_eq!(of(16, 1e-4, 0.5), [16; 4]);
+        assert_eq!([of(8, 8e-3, 0.0), of(16, 4e-3, 0.0), of(32, 2e-3, 0.0)], [[32, 16, 8, 8]; 3]);
+        assert_eq!([of(8, 2e-3, 0.0), of(32, 5e-4, 0.0)], [[16; 4]; 2]);
     }
 
     #[test]
