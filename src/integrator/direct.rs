@@ -138,7 +138,14 @@ impl Integrator for Direct {
         sampler.expects()
     }
 
-    fn expected(&self, world: &World<'_>, point: &Shading<'_>, own: Numbers, draws: &mut Draws) -> Expected {
+    fn expected(
+        &self,
+        world: &World<'_>,
+        point: &Shading<'_>,
+        own: Numbers,
+        deals: bool,
+        draws: &mut Draws,
+    ) -> Expected {
         let surface = point.surface;
         if surface.unlit {
             return Expected { radiance: surface.base_color, ..Expected::default() };
@@ -162,7 +169,7 @@ impl Integrator for Direct {
         // what the normal's side shines with says more, but at the rim.
         let mirrored = lobe.map(|_| 2.0 * cosine * surface.ns - point.wo);
         let Expectation { mut irradiance, towards, sunlight, alike } =
-            world.sampler.expected(&sampled, mirrored, draws);
+            world.sampler.expected(&sampled, mirrored, deals && apart, draws);
         let by_mirror_image = glint.is_some() || lobe.is_some_and(|lobe| lobe.alpha < WIDE);
         let k = bsdf.diffuse * FRAC_1_PI;
         let (mut of_body, mut sun) = (irradiance, Sun::default());
@@ -175,7 +182,7 @@ impl Integrator for Direct {
         let shown = body * of_body + rim * towards;
         let lambert = Lambert { origin: Vec3::ZERO, ng: surface.ng, ns: surface.ns, k };
         // Rays may begin only where they would be dealt out, too.
-        let post = alike.filter(|_| k != Vec3::ZERO && apart).map(|alike| Post {
+        let post = alike.filter(|_| k != Vec3::ZERO).map(|alike| Post {
             alike: (alike, sun.worth.is_some()),
             directions: shares.dome,
             lambert,

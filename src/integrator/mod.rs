@@ -220,8 +220,8 @@ pub trait Integrator: Debug + Send + Sync {
     }
 
     /// What the point that a camera ray met is taken for where no shadow ray is traced, but for what it asks for; `own` are numbers
-    /// of this camera ray alone. `draws` is scratch.
-    fn expected(&self, _world: &World<'_>, _point: &Shading<'_>, _own: Numbers, _draws: &mut Draws) -> Expected {
+    /// of this camera ray alone. Whether its sample `deals` says whether a post is wanted. `draws` is scratch.
+    fn expected(&self, _: &World<'_>, _: &Shading<'_>, _own: Numbers, _deals: bool, _draws: &mut Draws) -> Expected {
         Expected::default()
     }
 

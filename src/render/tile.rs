@@ -206,7 +206,7 @@ impl Render<'_> {
             let (mut post, mut sunrays) = (None, None);
             if views > 1 {
                 let point = shading(&camera, ray, hit, &surface);
-                let expected = self.integrator.expected(world, &point, camera.own(), &mut s.draws);
+                let expected = self.integrator.expected(world, &point, camera.own(), deals, &mut s.draws);
                 (radiance, post, sunrays) = (expected.radiance, expected.post, expected.sunrays);
                 if sunrays.is_some() {
                     place(&mut surface);

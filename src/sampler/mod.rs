@@ -184,7 +184,8 @@ pub struct Expectation {
     pub towards: Vec3,
     /// What of the irradiance is the sun's, where the dome has one.
     pub sunlight: Option<Sunlight>,
-    /// If any other point of its pixel has directions drawn for it with the same density, a number that those have in common.
+    /// If that was wanted and any other point of its pixel has directions drawn for it with the same density, a number that those
+    /// have in common.
     pub alike: Option<u64>,
 }
 
@@ -300,8 +301,9 @@ pub trait DomeSampler: Debug + Send + Sync {
     }
 
     /// About what a point receives, for a fraction of what a draw costs: a function of the point and of what was learned
-    /// before this stage. `towards` is asked about beside the normal. `out` is scratch.
-    fn expected(&self, _point: &Point, _towards: Option<Vec3>, _out: &mut Draws) -> Expectation {
+    /// before this stage. `towards` is asked about beside the normal; what it is `alike` only where that is wanted. `out` is
+    /// scratch.
+    fn expected(&self, _point: &Point, _towards: Option<Vec3>, _alike: bool, _out: &mut Draws) -> Expectation {
         Expectation::default()
     }
 

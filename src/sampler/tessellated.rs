@@ -400,7 +400,7 @@ impl DomeSampler for Tessellated {
         self.memory.is_warm()
     }
 
-    fn expected(&self, point: &Point, towards: Option<Vec3>, out: &mut Draws) -> Expectation {
+    fn expected(&self, point: &Point, towards: Option<Vec3>, alike: bool, out: &mut Draws) -> Expectation {
         let record = self.memory.read(point, &mut out.prepared.found);
         let axis = ShadowCache::axis(point.ng);
         Expectation {
@@ -408,7 +408,9 @@ impl DomeSampler for Tessellated {
             towards: towards.map_or(Vec3::ZERO, |dir| self.expected.towards(record, axis, dir)),
             sunlight: self.expected.sunlight(record, axis, point.ns),
             // Weights are a cell's of normals and a record's.
-            alike: record.map(|record| (self.normals.cell(point.ns) as u64) << 32 | u64::from(record.slot)),
+            alike: record
+                .filter(|_| alike)
+                .map(|record| (self.normals.cell(point.ns) as u64) << 32 | u64::from(record.slot)),
         }
     }
 
