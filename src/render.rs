@@ -47,8 +47,8 @@ pub struct Settings {
     pub crop: [u32; 4],
     /// Camera samples a pixel.
     pub spp: u32,
-    /// Shadow rays a camera sample; with a sampler that learns and no `camera_rays` given, in the mean: from half to four times as
-    /// many, region by region of the image.
+    /// Shadow rays a camera sample; where the integrator expects something and no `camera_rays` are given, in the mean: from half
+    /// to four times as many, region by region of the image.
     pub rays: u32,
     /// Camera rays for each camera sample, itself among them; none given: as many as pay, region by region of the image. See
     /// [`Integrator::expected`].

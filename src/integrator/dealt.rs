@@ -109,8 +109,8 @@ pub struct Told {
     /// The camera sample.
     pub sample: u32,
     /// The variance, the luminance's, of what its rays bring, as far as it falls with their number: what two that are drawn one
-    /// after the other, from much the same of the dome, differ by.
-    pub noise: f32,
+    /// after the other, from much the same of the dome, differ by. Of a single one nothing is known.
+    pub noise: Option<f32>,
     /// If they were dealt out: the part of the variance that n camera rays divide by n, for the light differs from place to place.
     pub saved: f32,
 }
@@ -174,6 +174,8 @@ impl Queue {
             let others = (dealt * dealt.saturating_sub(1)) as f32 - pairs;
             let (same, different) = (of_views - squares, sum * sum - of_views);
             let saved = (same * (others / pairs) - different) / (1.0 - 1.0 / views as f32);
+            // The last of an odd number has no partner.
+            let noise = (count > 1).then(|| noise * (count as f32 / (count & !1) as f32));
             Told { sample, noise, saved: if pairs > 0.0 && others > 0.0 { saved } else { 0.0 } }
         })
     }
@@ -241,10 +243,27 @@ mod tests {
                 queue.end_note([1, 0]);
                 let told: Vec<_> = queue.told().collect();
                 assert!(told.len() == 1 && told[0].sample == sample && told[0].saved == 0.0, "{told:?}");
-                sum += f64::from(told[0].noise);
+                sum += f64::from(told[0].noise.expect("sixteen rays"));
             }
             let noise = sum / f64::from(samples);
             assert!((noise - expected).abs() < 0.005, "{noise}, not {expected}");
         }
+    }
+
+    /// Three rays of which half arrive by chance have a variance of 3/4, of which one pair tells two thirds.
+    #[test]
+    fn the_last_of_an_odd_number_of_rays_counts_and_one_alone_tells_nothing() {
+        let told = |sample: u32, rays: u32| {
+            let mut queue = Queue { sample, ..Queue::default() };
+            for i in 0..rays {
+                let arrives = (random::hash(&[sample, i, 7]) >> 31) as f32;
+                queue.push(Ray::new(Vec3::ZERO, Vec3::X), Vec3::splat(arrives));
+            }
+            queue.end_note([0, 0]);
+            queue.told().next().expect("one sample").noise
+        };
+        let noise = (0..20_000).filter_map(|sample| told(sample, 3)).sum::<f32>() / 20_000.0;
+        assert!((noise - 0.75).abs() < 0.02, "{noise}");
+        assert_eq!((told(0, 1), told(0, 0)), (None, None));
     }
 }

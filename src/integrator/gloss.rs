@@ -10,6 +10,7 @@
 use super::lobe::{Lobe, Look, Propose, Seen};
 use super::{Queue, World};
 use crate::accel::Ray;
+use crate::dome::Dome;
 use crate::random;
 use crate::sampler::shadow_cache::NO_TARGET;
 use crate::sampler::{Draws, Glossy, Numbers, Point, TOGETHER};
@@ -136,7 +137,8 @@ impl Gloss<'_> {
 
     /// Queues those that were picked of so many registers; returns what was expected of them, which rays now tell.
     fn trace(&self, all: usize, queue: &mut Queue) -> Vec3 {
-        let Queue { candidates: Candidates { registers, picked }, rays, contributions, targets, .. } = queue;
+        let Queue { candidates, rays, contributions, targets, notes, residuals, .. } = queue;
+        let Candidates { registers, picked } = candidates;
         let registers = &registers[..all];
         let listens = self.world.sampler.listens();
         let mut expected = Vec3::ZERO;
@@ -144,7 +146,11 @@ impl Gloss<'_> {
             let (Register { dir, brings, glossy, .. }, i) = (&registers[i as usize / LANES], i as usize % LANES);
             let of_lane = |rows: &[[f32; LANES]; 3]| Vec3::new(rows[0][i], rows[1][i], rows[2][i]);
             let brings = of_lane(brings) * (SURE as f32 / counts as f32);
-            expected += brings * glossy.visible[i];
+            let of_ray = brings * glossy.visible[i];
+            expected += of_ray;
+            if *notes {
+                residuals.push((Dome::weight(of_ray.to_array()), 0));
+            }
             rays.push(Ray::new(self.origin, of_lane(dir)));
             contributions.push(brings);
             if listens {

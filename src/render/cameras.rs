@@ -30,7 +30,7 @@ pub(super) struct CameraSample {
     pub(super) views: u32,
     /// The sample's shadow rays.
     pub(super) rays: u32,
-    /// Whether shadow rays are dealt out to them, and whether what that saves is noted.
+    /// Whether shadow rays are dealt out to them, and whether what these tell is noted.
     pub(super) deals: bool,
     pub(super) noted: bool,
     /// Whether its pixel has spots, and whether it is one more that is aimed at one.

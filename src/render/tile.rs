@@ -308,7 +308,7 @@ impl Render<'_> {
     fn notice(&self, seen: &Views, s: &mut Scratch) {
         let light = |radiance: Vec3| Dome::weight(radiance.to_array());
         let mut first = 0;
-        let mut mirrors = s.mirrored.iter().peekable();
+        let mut mirrored = s.mirrored.iter().peekable();
         let mut glints = s.glints.iter().peekable();
         let mut suns = s.suns.iter().peekable();
         let mut told = s.told.iter().peekable();
@@ -319,8 +319,9 @@ impl Render<'_> {
             s.lights.clear();
             s.lights.extend(of_sample.iter().map(|sample| light(sample.radiance)));
             // The first one holds what its rays have brought once for each.
-            let mut shown =
-                mirrors.next_if(|mirrored| mirrored.0 as usize == first).map_or(expected, |m| expected + m.1);
+            let reflected = mirrored.next_if(|mirrored| mirrored.0 as usize == first);
+            let mirrors = reflected.is_some();
+            let mut shown = reflected.map_or(expected, |reflected| expected + reflected.1);
             let beside = (s.lights[0] - light(expected)) / views as f32;
             let (of, mut noise, mut sunny) = (first as u32..first as u32 + views, 0.0, 0.0);
             while let Some(&Sunny { sample, rays, all, arrived }) = suns.next_if(|sun| of.contains(&sun.sample)) {
@@ -338,11 +339,16 @@ impl Render<'_> {
                 s.lights[sample as usize - first] += light(glint);
             }
             let (traced, told) = (s.hits[first].is_hit(), told.next_if(|told| told.sample as usize == first));
-            let told = noted.then(|| told.map_or([0.0; 2], |told| [told.noise, told.saved]));
+            // Where nothing is traced nothing is noisy.
+            let (noise_of_rays, saved) = told.map_or((Some(0.0), 0.0), |told| (told.noise, told.saved));
+            let told = noise_of_rays.filter(|_| noted).map(|noise| [noise, saved]);
             // Beside samples that are aimed others weigh less the brighter they are: such pixels are no measure.
             if !spotted {
                 let noise = noise / views as f32;
-                notes.take_in(pixel, Seen { expected: &s.lights, known, noise, sunny, rays, traced, dealt, told });
+                notes.take_in(
+                    pixel,
+                    Seen { expected: &s.lights, known, noise, sunny, rays, traced, mirrors, dealt, told },
+                );
             }
             first += views as usize;
         }

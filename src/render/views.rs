@@ -48,6 +48,9 @@ const MOST_SPREAD: f64 = 4.0;
 /// What a term counts that is as large as the light itself.
 const ONE: f64 = 65536.0;
 
+/// How much finer noise is counted: rays are shared out by the least of it.
+const FINE: f64 = 65536.0;
+
 /// A sample that was looked at.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Seen<'a> {
@@ -60,10 +63,11 @@ pub(super) struct Seen<'a> {
     pub(super) noise: f32,
     /// What share of them traced rays for a sun.
     pub(super) sunny: f32,
-    /// How many shadow rays were asked for.
+    /// Its shadow rays.
     pub(super) rays: u32,
-    /// Whether that one traced shadow rays.
+    /// Whether the first traced any, and whether it mirrors: such rays are all camera rays', their noise is not told.
     pub(super) traced: bool,
+    pub(super) mirrors: bool,
     /// Whether these were dealt out.
     pub(super) dealt: bool,
     /// If its shadow rays were noted: their own variance, and what dealing them out takes off the variance, were there any number
@@ -85,10 +89,11 @@ enum Sum {
     NoiseAsAsked,
     /// What part of V is in each R + V.
     PlacesInSquare,
-    /// Samples, those noted, and those that traced shadow rays.
+    /// Samples, those noted, those that traced shadow rays, and those that mirror.
     Samples,
     Noted,
     Traced,
+    Mirrors,
     /// What parts of their camera rays traced rays for a sun.
     Sunny,
     /// Of all that have any light: how many, the sums of its logarithm and of that one's square.
@@ -186,14 +191,15 @@ fn seen(sums: Sums<i64>, left: f64) -> Region {
     let of = |sum: Sum| sums[sum as usize] as f64;
     let (samples, noted) = (of(Sum::Samples), of(Sum::Noted).max(1.0));
     let places = of(Sum::Places).max(0.0) / noted;
-    let in_square = places * of(Sum::PlacesInSquare) / ONE + of(Sum::Noise) / noted * samples;
+    let in_square = places * of(Sum::PlacesInSquare) / ONE + of(Sum::Noise) / FINE / noted * samples;
     Region {
         between: of(Sum::Between).max(0.0) * left,
         places: places * samples * left,
-        noise: of(Sum::NoiseAsAsked) / noted * samples,
+        noise: of(Sum::NoiseAsAsked) / FINE / noted * samples,
         rest: (of(Sum::Square) - in_square).max(0.0),
         samples,
         traced: of(Sum::Traced),
+        mirrors: of(Sum::Mirrors) > 0.0,
         sunny: of(Sum::Sunny) / ONE,
     }
 }
@@ -243,7 +249,7 @@ impl Notes<'_> {
 
     /// Takes in a sample of a pixel.
     pub(super) fn take_in(&mut self, pixel: [u32; 2], sample: Seen<'_>) {
-        let Seen { expected, known, noise, sunny, rays, traced, dealt, told } = sample;
+        let Seen { expected, known, noise, sunny, rays, traced, mirrors, dealt, told } = sample;
         let count = expected.len() as f32;
         let mean = expected.iter().sum::<f32>() / count;
         let light = expected.iter().map(|c| c * c).sum::<f32>() / count + known * known;
@@ -292,6 +298,7 @@ impl Notes<'_> {
         self.sum(Sum::Samples, 1);
         self.sum(Sum::Noted, i64::from(told.is_some()));
         self.sum(Sum::Traced, i64::from(traced));
+        self.sum(Sum::Mirrors, i64::from(mirrors));
         self.sum(Sum::Sunny, whole(sunny));
     }
 
@@ -314,8 +321,8 @@ impl Notes<'_> {
                 (Sum::Between, differs + product),
                 (Sum::Square, square + by_sun),
                 (Sum::Places, places),
-                (Sum::Noise, noise),
-                (Sum::NoiseAsAsked, noise_as_asked),
+                (Sum::Noise, noise * FINE as f32),
+                (Sum::NoiseAsAsked, noise_as_asked * FINE as f32),
             ] {
                 // Without light there is no number, which counts nothing; the sample has its price.
                 self.sum(sum, whole(more / light * n));
@@ -350,6 +357,7 @@ mod tests {
         sunny: 0.0,
         rays: 16,
         traced: true,
+        mirrors: false,
         dealt: false,
         told: None,
     };

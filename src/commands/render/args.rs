@@ -36,7 +36,7 @@ pub(crate) struct Args {
     /// Camera samples a pixel
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = whole::<u32>(1..=1 << 20), allow_hyphen_values = true, help_heading = "Image")]
     spp: u32,
-    /// Shadow rays a camera sample (where the sampler learns and no --camera-rays are given: in the mean, from half to four times
+    /// Shadow rays a camera sample (with the shadow cache, where no --camera-rays are given: in the mean; from half to four times
     /// as many, region by region of the image)
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = whole::<u32>(1..=1 << 16), allow_hyphen_values = true, help_heading = "Image")]
     rays: u32,

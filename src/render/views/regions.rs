@@ -25,6 +25,7 @@ const ROUNDS: u32 = 16;
 /// How many times as many shadow rays as were asked for a region may have: half as many at least, for what was seen of it may
 /// have missed something.
 const TIMES: [f64; 4] = [0.5, 1.0, 2.0, 4.0];
+const AS_ASKED: usize = 1;
 
 /// What a camera sample has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,6 +64,8 @@ pub(super) struct Region {
     /// How many of them trace shadow rays, and how many would be all that trace rays for a sun.
     pub(super) traced: f64,
     pub(super) sunny: f64,
+    /// Whether any mirrors.
+    pub(super) mirrors: bool,
 }
 
 impl Region {
@@ -85,10 +88,9 @@ struct Shaded {
 }
 
 impl Shaded {
-    fn new(&region: &Region, times: f64, asked: u32) -> Self {
-        let rays = rays(asked, times);
+    fn new(&region: &Region, rays: u32, asked: u32) -> Self {
         let price = (POINT + RAY * f64::from(rays)) * region.traced;
-        Self { region, rays, error: region.rest + region.noise(times), price }
+        Self { region, rays, error: region.rest + region.noise(f64::from(rays) / f64::from(asked)), price }
     }
 
     fn error(&self, Choice { views, deals, .. }: Choice) -> f64 {
@@ -109,15 +111,15 @@ impl Shaded {
     }
 }
 
-/// So many times as many shadow rays as were asked for.
+/// So many times as many shadow rays as were asked for; two at least if these are, for one alone tells nothing of its noise.
 fn rays(asked: u32, times: f64) -> u32 {
-    ((f64::from(asked) * times) as u32).max(1)
+    ((f64::from(asked) * times) as u32).max(asked.min(2))
 }
 
 /// What each region's samples have, where so many shadow rays were asked for.
 pub(super) fn choices(regions: &[Region], asked: u32) -> Vec<Choice> {
     let shaded = regions.iter().zip(shared_out(regions, asked));
-    let shaded: Vec<_> = shaded.map(|(region, times)| Shaded::new(region, times, asked)).collect();
+    let shaded: Vec<_> = shaded.map(|(region, rays)| Shaded::new(region, rays, asked)).collect();
     let mut chosen: Vec<_> = shaded.iter().map(|region| Choice::one(region.rays)).collect();
     for _ in 0..ROUNDS {
         let of_all = |of: fn(&Shaded, Choice) -> f64| shaded.iter().zip(&chosen).map(|(r, &c)| of(r, c)).sum::<f64>();
@@ -130,33 +132,34 @@ pub(super) fn choices(regions: &[Region], asked: u32) -> Vec<Choice> {
     chosen
 }
 
-/// Shares out the shadow rays, no more in all than were asked for: by how many times as many each region has.
-fn shared_out(regions: &[Region], asked: u32) -> Vec<f64> {
-    if regions.iter().all(|region| region.noise <= 0.0) {
-        return vec![1.0; regions.len()];
-    }
-    let of = TIMES.map(|times| f64::from(rays(asked, times)) / f64::from(asked));
-    // Steps up from the least, the first those that take most noise away for a ray; each takes less than the one before.
-    let step = |region: &Region, to: usize| {
-        let [before, after] = [of[to - 1], of[to]];
-        (region.noise(before) - region.noise(after), region.traced * (after - before))
-    };
+/// Shares out the shadow rays, no more in all than were asked for: how many each region's samples have.
+fn shared_out(regions: &[Region], asked: u32) -> Vec<u32> {
+    let of = TIMES.map(|times| rays(asked, times));
+    let times = of.map(|rays| f64::from(rays) / f64::from(asked));
+    // What was not seen has what was asked for, and so has at least what mirrors: nothing says how noisy that is.
+    let least = |region: &Region| if region.traced == 0.0 || region.mirrors { AS_ASKED } else { 0 };
+    let mut at: Vec<usize> = regions.iter().map(least).collect();
+    // Steps up, the first those that take most noise away for a ray; each takes less than the one before. What is left goes to
+    // regions with less than was asked for, noise or none.
     let mut steps = Vec::new();
-    for (i, region) in regions.iter().enumerate() {
-        let of_region = (1..of.len()).map(|to| (i, to, step(region, to)));
-        steps.extend(of_region.filter(|&(.., (gain, rays))| gain > 0.0 && rays > 0.0));
+    for (i, region) in regions.iter().enumerate().filter(|(_, region)| region.traced > 0.0) {
+        for to in at[i] + 1..of.len() {
+            let rays = region.traced * f64::from(of[to] - of[to - 1]);
+            let gain = region.noise(times[to - 1]) - region.noise(times[to]);
+            if rays > 0.0 && (gain > 0.0 || to <= AS_ASKED) {
+                steps.push((i, to, rays, gain / rays));
+            }
+        }
     }
-    steps.sort_by(|(.., (a, x)), (.., (b, y))| (b / y).total_cmp(&(a / x)));
-    let mut left: f64 = regions.iter().map(|region| region.traced * (1.0 - of[0])).sum();
-    let mut at = vec![0; regions.len()];
-    for (i, to, (_, rays)) in steps {
+    steps.sort_by(|a, b| b.3.total_cmp(&a.3));
+    let mut left: f64 =
+        regions.iter().zip(&at).map(|(region, &at)| region.traced * (f64::from(asked) - f64::from(of[at]))).sum();
+    for (i, to, rays, _) in steps {
         if at[i] == to - 1 && rays <= left {
             (at[i], left) = (to, left - rays);
         }
     }
-    // What was not seen has what was asked for.
-    let times = |(region, at): (&Region, usize)| if region.traced > 0.0 { of[at] } else { 1.0 };
-    regions.iter().zip(at).map(times).collect()
+    at.into_iter().map(|at| of[at]).collect()
 }
 
 #[cfg(test)]
@@ -184,6 +187,9 @@ mod tests {
             (&[22.0, 1.0, 1.0, 1.1], [32, 8, 8, 16]),
             (&[1e3, 1.0, 1.0, 0.0], [32, 16, 8, 8]),
             (&[1e3, 10.0, 0.0, 0.0], [32, 16, 8, 8]),
+            // What is left goes back to those that have none.
+            (&[1.0, 0.0, 0.0, 0.0], [32, 16, 8, 8]),
+            (&[1.0, 1.0, 1.0, 0.0], [16, 16, 16, 16]),
         ] {
             assert_eq!(shared(noise, 16), rays, "{noise:?}");
         }
@@ -193,6 +199,21 @@ mod tests {
             assert!(of_all <= 1000 * asked && of_all >= 950 * asked, "{of_all} for {asked}");
         }
         assert!([8, 16, 32, 64].iter().all(|rays| shared(&noise, 16).contains(rays)), "all that there may be");
+    }
+
+    #[test]
+    fn equal_noise_leaves_all_with_what_was_asked_for() {
+        for (asked, count) in (1..40).flat_map(|asked| [1, 2, 3, 7, 100].map(|count| (asked, count))) {
+            assert_eq!(shared(&vec![0.1; count], asked), vec![asked; count]);
+        }
+    }
+
+    #[test]
+    fn what_mirrors_gives_no_rays_away() {
+        let mut regions = noisy(&[1e3, 1.0, 0.0, 0.0]);
+        regions[2].mirrors = true;
+        let rays: Vec<_> = choices(&regions, 16).iter().map(|choice| choice.rays).collect();
+        assert_eq!(rays, [32, 8, 16, 8]);
     }
 
     #[test]
