@@ -141,7 +141,7 @@ pub struct Queue {
     /// Of each of their rays what the control variate takes for it, a luminance, and the camera ray that it begins at.
     pub residuals: Vec<(f32, u8)>,
     /// How many rays of the sample that is being shaded were dealt out, and to how many camera rays.
-    pub(self) dealt_out: [u32; 2],
+    dealt_out: [u32; 2],
     /// Scratch: directions that a lobe might take.
     pub candidates: Candidates,
     /// Scratch: who has which direction.
