@@ -126,7 +126,7 @@ impl Gloss<'_> {
         let Candidates { registers, picked } = &mut queue.candidates;
         let registers = &mut registers[..all];
         let expected = dispatch(Pick { gloss: self, by_lobe, numbers, learned, start, registers, picked });
-        expected - self.trace(all, queue)
+        expected - trace(self.origin, all, sampler.listens(), queue)
     }
 
     /// Numbers for a purpose of their own.
@@ -134,33 +134,32 @@ impl Gloss<'_> {
         let Numbers { seed, sample } = self.point.numbers;
         Numbers { seed: random::combine(seed, purpose), sample }
     }
+}
 
-    /// Queues those that were picked of so many registers; returns what was expected of them, which rays now tell.
-    fn trace(&self, all: usize, queue: &mut Queue) -> Vec3 {
-        let Queue { candidates, rays, contributions, targets, notes, residuals, .. } = queue;
-        let Candidates { registers, picked } = candidates;
-        let registers = &registers[..all];
-        let listens = self.world.sampler.listens();
-        let mut expected = Vec3::ZERO;
-        for &(i, counts) in &*picked {
-            let (Register { dir, brings, glossy, .. }, i) = (&registers[i as usize / LANES], i as usize % LANES);
-            let of_lane = |rows: &[[f32; LANES]; 3]| Vec3::new(rows[0][i], rows[1][i], rows[2][i]);
-            let brings = of_lane(brings) * (SURE as f32 / counts as f32);
-            let of_ray = brings * glossy.visible[i];
-            expected += of_ray;
-            if *notes {
-                residuals.push((Dome::weight(of_ray.to_array()), 0));
-            }
-            rays.push(Ray::new(self.origin, of_lane(dir)));
-            contributions.push(brings);
-            if listens {
-                targets.push(glossy.target[i]);
-            }
+/// Queues those that were picked of so many registers, from one place; returns what was expected of them, which rays now tell.
+fn trace(origin: Vec3, all: usize, listens: bool, queue: &mut Queue) -> Vec3 {
+    let Queue { candidates, rays, contributions, targets, notes, residuals, .. } = queue;
+    let Candidates { registers, picked } = candidates;
+    let registers = &registers[..all];
+    let mut expected = Vec3::ZERO;
+    for &(i, counts) in &*picked {
+        let (Register { dir, brings, glossy, .. }, i) = (&registers[i as usize / LANES], i as usize % LANES);
+        let of_lane = |rows: &[[f32; LANES]; 3]| Vec3::new(rows[0][i], rows[1][i], rows[2][i]);
+        let brings = of_lane(brings) * (SURE as f32 / counts as f32);
+        let of_ray = brings * glossy.visible[i];
+        expected += of_ray;
+        if *notes {
+            residuals.push((Dome::weight(of_ray.to_array()), 0));
         }
-        let count = picked.len() as u32;
-        queue.add(count);
-        expected
+        rays.push(Ray::new(origin, of_lane(dir)));
+        contributions.push(brings);
+        if listens {
+            targets.push(glossy.target[i]);
+        }
     }
+    let count = picked.len() as u32;
+    queue.add(count);
+    expected
 }
 
 /// Proposes the lobe's candidates.
@@ -398,6 +397,23 @@ mod tests {
             assert_eq!(picked(64, start, &with_doubts(&[1.0, 2.0, 3.0, 4.0])).len(), 4);
             let picked = picked(4, start, &with_doubts(&[&[1.0; 20][..], &[1e6], &[2.0; 20]].concat()));
             assert!(picked.contains(&(20, SURE)) && picked.len() >= 3, "{picked:?}");
+        }
+    }
+
+    /// One that brings 4 and is picked for sure, and one that brings 2 and counts twice.
+    #[test]
+    fn a_noted_ray_has_with_it_what_is_expected_of_it() {
+        let mut register = Register::EMPTY;
+        register.brings = [lanes(&[4.0, 9.0, 2.0], 0, 0.0); 3];
+        register.glossy.visible = lanes(&[0.25, 1.0, 0.5], 0, 0.0);
+        for notes in [false, true] {
+            let mut queue = Queue { notes, ..Queue::default() };
+            queue.candidates = Candidates { registers: vec![register], picked: vec![(0, SURE), (2, SURE / 2)] };
+            assert_eq!(trace(Vec3::ZERO, 1, false, &mut queue), Vec3::splat(3.0));
+            assert_eq!(queue.rays.len(), 2);
+            let residuals = if notes { vec![1.0, 2.0] } else { Vec::new() };
+            assert_eq!(queue.residuals.len(), residuals.len());
+            assert!(queue.residuals.iter().zip(residuals).all(|(noted, of_ray)| (noted.0 - of_ray).abs() < 1e-6));
         }
     }
 }
