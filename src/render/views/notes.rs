@@ -21,7 +21,7 @@ pub(in crate::render) struct Seen<'a> {
     /// Whether the first traced any, and whether it mirrors: such rays are all camera rays', their noise is not told.
     pub(in crate::render) traced: bool,
     pub(in crate::render) mirrors: bool,
-    /// Whether these were dealt out.
+    /// Whether its shadow rays were dealt out.
     pub(in crate::render) dealt: bool,
     /// If its shadow rays were noted: their own variance, and what dealing them out takes off the variance, were there any number
     /// of camera rays.
