@@ -42,6 +42,15 @@ pub fn has_avx512() -> bool {
     false
 }
 
+/// Whether the processor has all of AVX2 that kernels are compiled for, at least.
+#[inline]
+pub fn has_avx2() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    return level() != Level::Baseline;
+    #[cfg(not(target_arch = "x86_64"))]
+    false
+}
+
 /// Asks for the line of memory that holds an entry, so that it is near when it is read.
 #[inline(always)]
 pub fn prefetch<T>(row: &[T], i: usize) {

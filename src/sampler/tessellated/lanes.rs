@@ -1,6 +1,9 @@
 //! Searches for a block of numbers at once: in the groups' CDF, lane by lane, and in the buckets' lines.
 
-#![allow(unsafe_code, reason = "kernels for AVX-512, which takes sixteen words as one; each has a portable twin")]
+#![allow(
+    unsafe_code,
+    reason = "kernels for AVX-512, which takes sixteen words as one, and AVX2; each has a portable twin"
+)]
 
 use super::buckets::Line;
 use crate::sampler::preconvolution::GROUP_LANES;
@@ -114,6 +117,11 @@ pub(super) fn begun<const N: usize>(lines: &[Line], line: &[u32], at: &[u32; N])
         // SAFETY: The processor has AVX-512 F and what comes before it.
         return unsafe { begun_avx512(lines, line, at) };
     }
+    #[cfg(target_arch = "x86_64")]
+    if simd::has_avx2() {
+        // SAFETY: The processor has AVX2 and what comes before it.
+        return unsafe { begun_avx2(lines, line, at) };
+    }
     begun_portable(lines, line, at)
 }
 
@@ -150,6 +158,30 @@ unsafe fn begun_avx512<const N: usize>(lines: &[Line], line: &[u32], at: &[u32; 
     all
 }
 
+/// The same in two halves. There is no comparison of words without a sign: the smaller of two is.
+///
+/// # Safety
+/// The processor has AVX2 and POPCNT.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,popcnt")]
+unsafe fn begun_avx2<const N: usize>(lines: &[Line], line: &[u32], at: &[u32; N]) -> [u32; N] {
+    use std::arch::x86_64::*;
+    let mut all = [0; N];
+    for ((begun, &line), &at) in all.iter_mut().zip(line).zip(at) {
+        let Line(words) = &lines[line as usize];
+        let at = _mm256_set1_epi32(at as i32);
+        let not_above = |half: &[u32]| {
+            // SAFETY: A load of half of an array of sixteen.
+            let words = unsafe { _mm256_loadu_si256(half.as_ptr().cast()) };
+            let not_above = _mm256_cmpeq_epi32(_mm256_min_epu32(words, at), words);
+            _mm256_movemask_ps(_mm256_castsi256_ps(not_above)) as u32
+        };
+        let (first, second) = words.split_at(8);
+        *begun = ((not_above(second) << 8 | not_above(first)) >> 1).count_ones();
+    }
+    all
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -179,6 +211,11 @@ mod tests {
                 let ats: [u32; N] = std::array::from_fn(|k| at + k as u32);
                 let found = begun(&lines, &places, &ats);
                 assert_eq!(found, begun_portable(&lines, &places, &ats));
+                #[cfg(target_arch = "x86_64")]
+                if simd::has_avx2() {
+                    // SAFETY: The processor has AVX2 and what comes before it.
+                    assert_eq!(found, unsafe { begun_avx2(&lines, &places, &ats) });
+                }
                 for (k, found) in found.into_iter().enumerate() {
                     let Line(words) = lines[i + k];
                     assert_eq!(found as usize, words[1..].iter().filter(|&&word| word <= ats[k]).count(), "{words:?}");

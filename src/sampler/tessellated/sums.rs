@@ -1,6 +1,9 @@
 //! Sums over the lanes of registers: they are rounded in the same order whatever the processor has.
 
-#![allow(unsafe_code, reason = "kernels for AVX-512, each with a portable twin; a conversion of numbers known to fit")]
+#![allow(
+    unsafe_code,
+    reason = "kernels for AVX-512 and AVX2, each with a portable twin; a conversion of numbers known to fit"
+)]
 
 use crate::sampler::preconvolution::{GROUP_LANES, Nine};
 use crate::simd;
@@ -20,6 +23,11 @@ pub(super) fn products(factors: [Factors<'_>; 2]) -> [f32; 9] {
     if simd::has_avx512() {
         // SAFETY: The processor has AVX-512 F.
         return unsafe { products_avx512(factors) };
+    }
+    #[cfg(target_arch = "x86_64")]
+    if simd::has_avx2() {
+        // SAFETY: The processor has AVX2.
+        return unsafe { products_avx2(factors) };
     }
     products_portable(factors)
 }
@@ -64,6 +72,42 @@ unsafe fn products_avx512(factors: [Factors<'_>; 2]) -> [f32; 9] {
     let mut result = [0.0; 9];
     for (result, sum) in result.iter_mut().zip(sums) {
         *result = _mm512_reduce_add_ps(sum);
+    }
+    result
+}
+
+/// Three sums at a time stay in registers, two for each, and no addition waits for the one before.
+///
+/// # Safety
+/// The processor has AVX2.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+unsafe fn products_avx2(factors: [Factors<'_>; 2]) -> [f32; 9] {
+    use std::arch::x86_64::*;
+    let mut result = [0.0; 9];
+    for (three, result) in result.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+        let (mut low, mut high) = ([_mm256_setzero_ps(); 3], [_mm256_setzero_ps(); 3]);
+        for (Register(by), Nine(rows)) in factors.iter().flat_map(|(by, rows)| by.iter().zip(*rows)) {
+            // SAFETY: Loads of both halves of whole arrays of sixteen.
+            let load = |row: &[f32; GROUP_LANES]| unsafe {
+                (_mm256_loadu_ps(row.as_ptr()), _mm256_loadu_ps(row.as_ptr().add(8)))
+            };
+            let by = load(by);
+            for k in 0..3 {
+                let row = load(&rows[3 * three + k]);
+                low[k] = _mm256_add_ps(low[k], _mm256_mul_ps(by.0, row.0));
+                high[k] = _mm256_add_ps(high[k], _mm256_mul_ps(by.1, row.1));
+            }
+        }
+        for k in 0..3 {
+            let mut lanes = [0.0; GROUP_LANES];
+            // SAFETY: Stores to both halves of it.
+            unsafe {
+                _mm256_storeu_ps(lanes.as_mut_ptr(), low[k]);
+                _mm256_storeu_ps(lanes.as_mut_ptr().add(8), high[k]);
+            }
+            result[k] = halves_portable(lanes);
+        }
     }
     result
 }
@@ -138,6 +182,12 @@ mod tests {
             let factors = [(&by[..front], &rgb[..back]), (&by[front..], &rgb[back..])];
             let result = products(factors);
             assert_eq!(result.map(f32::to_bits), products_portable(factors).map(f32::to_bits));
+            #[cfg(target_arch = "x86_64")]
+            if simd::has_avx2() {
+                // SAFETY: The processor has AVX2.
+                let result = unsafe { products_avx2(factors) };
+                assert_eq!(result.map(f32::to_bits), products_portable(factors).map(f32::to_bits));
+            }
             for (k, result) in result.into_iter().enumerate() {
                 let product = |i| f64::from(number(i, 9)) * f64::from(number(i, k));
                 let exact: f64 = (0..16 * rows).map(product).sum();
