@@ -100,13 +100,7 @@ unsafe fn products_avx2(factors: [Factors<'_>; 2]) -> [f32; 9] {
             }
         }
         for k in 0..3 {
-            let mut lanes = [0.0; GROUP_LANES];
-            // SAFETY: Stores to both halves of it.
-            unsafe {
-                _mm256_storeu_ps(lanes.as_mut_ptr(), low[k]);
-                _mm256_storeu_ps(lanes.as_mut_ptr().add(8), high[k]);
-            }
-            result[k] = halves_portable(lanes);
+            result[k] = halves_avx2(low[k], high[k]);
         }
     }
     result
@@ -153,6 +147,16 @@ unsafe fn halves_avx512(lanes: [f32; GROUP_LANES]) -> f32 {
     use std::arch::x86_64::*;
     // SAFETY: A load of a whole array of sixteen.
     _mm512_reduce_add_ps(unsafe { _mm512_loadu_ps(lanes.as_ptr()) })
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn halves_avx2(low: std::arch::x86_64::__m256, high: std::arch::x86_64::__m256) -> f32 {
+    use std::arch::x86_64::*;
+    let eight = _mm256_add_ps(low, high);
+    let four = _mm_add_ps(_mm256_castps256_ps128(eight), _mm256_extractf128_ps::<1>(eight));
+    let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
+    _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
 }
 
 /// The whole part of a positive number, at most 2³⁰.
