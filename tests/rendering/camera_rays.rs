@@ -164,6 +164,23 @@ fn the_visibility_layer_by_all_camera_rays() {
     assert!((all - one).abs().cmple(4.0 * error).all(), "{all} is not {one} ± {error}");
 }
 
+/// Where rays begin, and how many of them, is no matter of what else is written down.
+#[test]
+fn further_layers_leave_the_picture_as_it_is() {
+    let mut parts = rough_things();
+    parts[0].1 = Material { metallic: 0.0, roughness: 0.0, ..Material::default() };
+    parts.push((sphere(Vec3::new(-0.6, 1.1, 0.4), 0.3), brass()));
+    let (stage, dome) = (Stage::new(parts), sun());
+    for spec in [CACHE, "tessellated:cache=off", "latlong:mis"] {
+        let shot = Shot { camera_rays: None, ..stage.shot(&dome, 4, 16) };
+        let alone = shot.take(sampler(spec, &dome, 16).as_mut(), 3);
+        let layered = shot.take_layers(sampler(spec, &dome, 16).as_mut(), 3);
+        assert!(layered.film.aovs.len() == layered.film.pixels.len() && alone.film.aovs.is_empty());
+        assert_eq!(layered.film.rgba(), alone.film.rgba(), "{spec}");
+        assert_eq!(layered.counts.shadow_rays, alone.counts.shadow_rays, "{spec}");
+    }
+}
+
 /// Balls on the floor and in the shadow of slats, so small that they show the sun in a spot of a pixel.
 fn balls(materials: [Material; 4]) -> Vec<(Mesh, Material)> {
     let mut parts = occluders();

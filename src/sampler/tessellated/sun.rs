@@ -124,15 +124,28 @@ mod tests {
     use std::f64::consts::PI;
     use std::sync::Arc;
 
-    /// A bright sky with a sun of many texels, of all colours and down to a hundredth of the brightest.
-    fn sunny() -> Arc<Dome> {
-        let grid = Grid::new(256, 128, 0.0);
-        let texel = |i: usize| {
-            let (x, y) = ((i % 256) as f32 - 70.5, (i / 256) as f32 - 30.5);
-            let sun = if x.abs() + y.abs() < 4.0 { 3e3 / (1.0 + x * x + y * y) } else { 0.0 };
+    /// Rows and columns of the domes below, and the middle of a texel.
+    const ROWS: u32 = 128;
+    const AT: [u32; 2] = [70, 30];
+
+    /// A bright sky with a sun of many texels about this one, of all colours and down to a hundredth of the brightest.
+    fn sunny([column, row]: [u32; 2]) -> Arc<Dome> {
+        let grid = Grid::new(2 * ROWS, ROWS, 0.0);
+        let texel = PI / f64::from(ROWS);
+        let dir = |column: u32, row: u32| {
+            let (sin, cos) = grid.azimuth(f64::from(column) + 0.5).sin_cos();
+            let polar = (f64::from(row) + 0.5) * texel;
+            DVec3::new(polar.sin() * cos, polar.cos(), polar.sin() * sin)
+        };
+        let middle = dir(column, row);
+        let (across, down) = middle.any_orthonormal_pair();
+        let light = |i: u32| {
+            let off = dir(i % grid.width, i / grid.width) - middle;
+            let [x, y] = [across, down].map(|axis| (off.dot(axis) / texel) as f32);
+            let sun = if off.length() < 4.0 * texel { 3e3 / (1.0 + x * x + y * y) } else { 0.0 };
             [0.3 + sun, 0.5 + sun * (1.0 + 0.1 * x), 1.0 + sun * (0.6 + 0.1 * y)]
         };
-        Arc::new(Dome { grid, texels: (0..grid.len()).map(texel).collect(), faults: Faults::default() })
+        Arc::new(Dome { grid, texels: (0..grid.len() as u32).map(light).collect(), faults: Faults::default() })
     }
 
     /// Sums up what arrives on a surface from the sun's groups, and from all others.
@@ -168,7 +181,7 @@ mod tests {
 
     #[test]
     fn a_sun_is_all_bright_groups_about_the_brightest_and_a_sky_has_none() {
-        let sun = sampler(&sunny(), "tessellated").sun;
+        let sun = sampler(&sunny(AT), "tessellated").sun;
         assert!(sun.groups().len() > 1, "its texels are in several groups");
         let grid = Grid::new(64, 32, 0.0);
         let sky = Arc::new(Dome { grid, texels: vec![[1.0; 3]; grid.len()], faults: Faults::default() });
@@ -205,9 +218,21 @@ mod tests {
     /// is known and after; the control variate's integral is that of what it takes off.
     #[test]
     fn a_sun_with_rays_of_its_own_is_left_out_of_all_others_and_nothing_is_lost() {
-        let mut sampler = sampler(&sunny(), "tessellated");
+        nothing_is_lost(AT);
+    }
+
+    #[test]
+    fn nor_is_it_across_the_images_seam_or_at_a_pole() {
+        nothing_is_lost([0, 30]);
+        nothing_is_lost([0, 0]);
+        nothing_is_lost([13, ROWS - 2]);
+    }
+
+    fn nothing_is_lost(at: [u32; 2]) {
+        let mut sampler = sampler(&sunny(at), "tessellated");
         let toward = sampler.sun.rows[0].cells[0].sides.direction(0.5, 0.5);
-        let normals = [toward, Vec3::Y, (toward + 1.2 * toward.any_orthonormal_vector()).normalize()];
+        let aside = toward.any_orthonormal_vector();
+        let normals = [toward, (toward - 0.8 * aside).normalize(), (toward + 1.2 * aside).normalize()];
         for warm in [false, true] {
             if warm {
                 let mut draws = Draws::default();
@@ -219,7 +244,7 @@ mod tests {
                 sampler.next_stage();
             }
             for normal in normals {
-                let what = format!("normal {normal}, warm {warm}");
+                let what = format!("sun at {at:?}, normal {normal}, warm {warm}");
                 let [of_sun, of_others] = irradiance(&sampler, normal);
                 let sunless = |seed| Point { sunless: true, ..point(normal, seed) };
                 let sun = brought(normal, |seed, draws| sampler.draw_sun(&sunless(seed), 3, draws));
