@@ -164,7 +164,7 @@ fn the_visibility_layer_by_all_camera_rays() {
     assert!((all - one).abs().cmple(4.0 * error).all(), "{all} is not {one} ± {error}");
 }
 
-/// Where rays begin, and how many of them, is no matter of what else is written down.
+/// What is traced is no matter of what else is written down.
 #[test]
 fn further_layers_leave_the_picture_as_it_is() {
     let mut parts = rough_things();
