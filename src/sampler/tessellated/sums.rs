@@ -149,6 +149,7 @@ unsafe fn halves_avx512(lanes: [f32; GROUP_LANES]) -> f32 {
     _mm512_reduce_add_ps(unsafe { _mm512_loadu_ps(lanes.as_ptr()) })
 }
 
+/// Of the lower and the upper eight lanes of sixteen.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn halves_avx2(low: std::arch::x86_64::__m256, high: std::arch::x86_64::__m256) -> f32 {
