@@ -20,7 +20,7 @@ use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// What the file begins with; the last byte is the version.
-const MAGIC: [u8; 8] = *b"DOMELCP\x0d";
+const MAGIC: [u8; 8] = *b"DOMELCP\x0e";
 
 /// Bytes of the hash at the end.
 const HASH: u64 = 32;

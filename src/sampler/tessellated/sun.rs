@@ -124,7 +124,7 @@ mod tests {
     use std::f64::consts::PI;
     use std::sync::Arc;
 
-    /// Rows and columns of the domes below, and the middle of a texel.
+    /// Rows of the domes below, and the column and row of a sun.
     const ROWS: u32 = 128;
     const AT: [u32; 2] = [70, 30];
 
