@@ -5,6 +5,9 @@
 
 use std::alloc::{GlobalAlloc, Layout, System};
 
+/// A block from this size on, bytes, asks for large pages.
+const LARGE: usize = 2 << 20;
+
 #[global_allocator]
 static ALLOCATOR: OrExit = OrExit;
 
@@ -37,7 +40,26 @@ unsafe impl GlobalAlloc for OrExit {
 /// The block of so many bytes, if it is one.
 #[inline(always)]
 fn given(block: *mut u8, bytes: usize) -> *mut u8 {
-    if block.is_null() { refused(bytes) } else { block }
+    if block.is_null() {
+        refused(bytes)
+    }
+    if bytes >= LARGE {
+        in_large_pages(block, bytes);
+    }
+    block
+}
+
+/// Asks for large pages where they fit in: what is touched first costs a hundredth of the faults, and what is read here
+/// and there misses the processor's page table less. Only advice: without it everything is as right, but slower.
+#[cold]
+fn in_large_pages(block: *mut u8, bytes: usize) {
+    let begin = (block as usize).next_multiple_of(4096);
+    let end = (block as usize + bytes) & !4095;
+    #[cfg(target_os = "linux")]
+    // SAFETY: The pages lie in a block just handed out, and what is asked for changes nothing of what they hold.
+    unsafe {
+        libc::madvise(begin as *mut _, end - begin, libc::MADV_HUGEPAGE);
+    }
 }
 
 #[cold]
