@@ -167,6 +167,7 @@ impl Render<'_> {
         let mut sky = 0;
         let mut waiting = None;
         for i in 0..s.rays.len() {
+            self.scene.look_ahead(&s.hits, i);
             let camera = s.cameras.samples[i];
             let CameraSample { views, rays, deals, .. } = camera;
             let shaded = camera.is_shaded();
