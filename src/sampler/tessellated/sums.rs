@@ -76,7 +76,7 @@ unsafe fn products_avx512(factors: [Factors<'_>; 2]) -> [f32; 9] {
     result
 }
 
-/// Three sums at a time stay in registers, two for each, and no addition waits for the one before.
+/// The lower eight lanes of all nine sums stay in registers, then the upper ones.
 ///
 /// # Safety
 /// The processor has AVX2.
@@ -84,26 +84,22 @@ unsafe fn products_avx512(factors: [Factors<'_>; 2]) -> [f32; 9] {
 #[target_feature(enable = "avx2")]
 unsafe fn products_avx2(factors: [Factors<'_>; 2]) -> [f32; 9] {
     use std::arch::x86_64::*;
-    let mut result = [0.0; 9];
-    for (three, result) in result.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-        let (mut low, mut high) = ([_mm256_setzero_ps(); 3], [_mm256_setzero_ps(); 3]);
-        for (Register(by), Nine(rows)) in factors.iter().flat_map(|(by, rows)| by.iter().zip(*rows)) {
-            // SAFETY: Loads of both halves of whole arrays of sixteen.
-            let load = |row: &[f32; GROUP_LANES]| unsafe {
-                (_mm256_loadu_ps(row.as_ptr()), _mm256_loadu_ps(row.as_ptr().add(8)))
-            };
-            let by = load(by);
-            for k in 0..3 {
-                let row = load(&rows[3 * three + k]);
-                low[k] = _mm256_add_ps(low[k], _mm256_mul_ps(by.0, row.0));
-                high[k] = _mm256_add_ps(high[k], _mm256_mul_ps(by.1, row.1));
+    let half_of = |half: usize| {
+        // SAFETY: A load of a whole half of an array of sixteen.
+        let load = |row: &[f32; GROUP_LANES]| unsafe { _mm256_loadu_ps(row.as_chunks::<8>().0[half].as_ptr()) };
+        let mut sums = [_mm256_setzero_ps(); 9];
+        for (by, rows) in factors {
+            for (Register(by), Nine(rows)) in by.iter().zip(rows) {
+                let by = load(by);
+                for (sum, row) in sums.iter_mut().zip(rows) {
+                    *sum = _mm256_add_ps(*sum, _mm256_mul_ps(by, load(row)));
+                }
             }
         }
-        for k in 0..3 {
-            result[k] = halves_avx2(low[k], high[k]);
-        }
-    }
-    result
+        sums
+    };
+    let (low, high) = (half_of(0), half_of(1));
+    std::array::from_fn(|k| halves_avx2(low[k], high[k]))
 }
 
 /// The sum of numbers that fill whole registers.

@@ -216,9 +216,9 @@ impl WeighLearned<'_> {
         let Parts { groups, rgb, .. } = &irradiance.parts;
         let (whole, of_parts) = weights.of_flux.split_at_mut(count / GROUP_LANES);
         for (Register(of_parts), groups) in of_parts.iter_mut().zip(groups) {
-            for (m, &group) in of_parts.iter_mut().zip(groups) {
-                *m = f32::from(visibility[usize::from(group)]) * (1.0 / 255.0);
-            }
+            // Bytes first: registers of them are converted together.
+            let visibility = groups.map(|group| visibility[usize::from(group)]);
+            *of_parts = visibility.map(|m| f32::from(m) * (1.0 / 255.0));
         }
         weights.flux = channels(sums::products([(whole, &triangles.groups.rgb), (of_parts, rgb)]));
         weights.aim = irradiance.aim;
