@@ -1,11 +1,13 @@
 //! Memory that the system refuses: an error with a remedy, where Rust would abort. What is known beforehand is refused
-//! earlier, part by part (`commands::memory`); this is for limits that the estimate just passes.
+//! earlier, part by part (`commands::memory`); this is for limits that the estimate just passes. And large pages for large
+//! blocks.
 
 #![allow(unsafe_code, reason = "an allocator is unsafe to be one; it hands everything on to the system's")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 
-/// A block from this size on, bytes, asks for large pages.
+/// A large page, bytes: blocks from this size on ask for them.
+#[cfg(target_os = "linux")]
 const LARGE: usize = 2 << 20;
 
 #[global_allocator]
@@ -43,6 +45,7 @@ fn given(block: *mut u8, bytes: usize) -> *mut u8 {
     if block.is_null() {
         refused(bytes)
     }
+    #[cfg(target_os = "linux")]
     if bytes >= LARGE {
         in_large_pages(block, bytes);
     }
@@ -51,14 +54,14 @@ fn given(block: *mut u8, bytes: usize) -> *mut u8 {
 
 /// Asks for large pages where they fit in: what is touched first costs a hundredth of the faults, and what is read here
 /// and there misses the processor's page table less. Only advice: without it everything is as right, but slower.
+#[cfg(target_os = "linux")]
 #[cold]
 fn in_large_pages(block: *mut u8, bytes: usize) {
-    let begin = (block as usize).next_multiple_of(4096);
-    let end = (block as usize + bytes) & !4095;
-    #[cfg(target_os = "linux")]
-    // SAFETY: The pages lie in a block just handed out, and what is asked for changes nothing of what they hold.
+    // SAFETY: The pages hold parts of a block just handed out, and what is asked for changes nothing of what they hold.
     unsafe {
-        libc::madvise(begin as *mut _, end - begin, libc::MADV_HUGEPAGE);
+        // From the page that the block begins in: beside it lies its header alone, which the first large page takes in.
+        let beside = block as usize % libc::sysconf(libc::_SC_PAGESIZE).max(1) as usize;
+        libc::madvise(block.wrapping_sub(beside).cast(), bytes + beside, libc::MADV_HUGEPAGE);
     }
 }
 
