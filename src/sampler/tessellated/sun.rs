@@ -214,6 +214,23 @@ mod tests {
         }
     }
 
+    /// Else strata would jump from one side of the image to the other.
+    #[test]
+    fn a_rows_columns_follow_each_other_across_the_images_seam() {
+        let dome = sunny([0, 30]);
+        let sun = sampler(&dome, "tessellated").sun;
+        let [seam, next] = [0.0, 1.0].map(|column| dome.grid.azimuth(column));
+        let (sin, cos) = seam.sin_cos();
+        let beyond = |cell: &Cell| {
+            let dir = cell.sides.direction(0.5, 0.5).as_dvec3();
+            (next - seam).signum() * (cos * dir.z - sin * dir.x).atan2(cos * dir.x + sin * dir.z)
+        };
+        let rows: Vec<Vec<f64>> = sun.rows.iter().map(|row| row.cells.iter().map(beyond).collect()).collect();
+        assert!(rows.iter().all(|row| row.is_sorted()), "{rows:?}");
+        let cross = rows.iter().filter(|row| row[0] < 0.0 && row[row.len() - 1] > 0.0).count();
+        assert!(cross > 1, "the sun lies on both sides: {rows:?}");
+    }
+
     /// What the sun brings and what a sunless point's draws bring are all that there is, each what it should be: before anything
     /// is known and after; the control variate's integral is that of what it takes off.
     #[test]
