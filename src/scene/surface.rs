@@ -137,7 +137,9 @@ impl Scene {
             let mesh = mesh(hit);
             for corner in mesh.indices[hit.triangle as usize] {
                 prefetch(&mesh.positions, corner as usize);
-                prefetch(&mesh.normals, corner as usize);
+                if !mesh.normals.is_empty() {
+                    prefetch(&mesh.normals, corner as usize);
+                }
             }
         }
     }
