@@ -1,14 +1,9 @@
 //! Memory that the system refuses: an error with a remedy, where Rust would abort. What is known beforehand is refused
-//! earlier, part by part (`commands::memory`); this is for limits that the estimate just passes. And large pages for large
-//! blocks.
+//! earlier, part by part (`commands::memory`); this is for limits that the estimate just passes.
 
 #![allow(unsafe_code, reason = "an allocator is unsafe to be one; it hands everything on to the system's")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
-
-/// A large page, bytes: blocks from this size on ask for them.
-#[cfg(target_os = "linux")]
-const LARGE: usize = 2 << 20;
 
 #[global_allocator]
 static ALLOCATOR: OrExit = OrExit;
@@ -42,27 +37,7 @@ unsafe impl GlobalAlloc for OrExit {
 /// The block of so many bytes, if it is one.
 #[inline(always)]
 fn given(block: *mut u8, bytes: usize) -> *mut u8 {
-    if block.is_null() {
-        refused(bytes)
-    }
-    #[cfg(target_os = "linux")]
-    if bytes >= LARGE {
-        in_large_pages(block, bytes);
-    }
-    block
-}
-
-/// Asks for large pages where they fit in: what is touched first costs a hundredth of the faults, and what is read here
-/// and there misses the processor's page table less. Only advice: without it everything is as right, but slower.
-#[cfg(target_os = "linux")]
-#[cold]
-fn in_large_pages(block: *mut u8, bytes: usize) {
-    // SAFETY: The pages hold parts of a block just handed out, and what is asked for changes nothing of what they hold.
-    unsafe {
-        // From the page that the block begins in: beside it lies its header alone, which the first large page takes in.
-        let beside = block as usize % libc::sysconf(libc::_SC_PAGESIZE).max(1) as usize;
-        libc::madvise(block.wrapping_sub(beside).cast(), bytes + beside, libc::MADV_HUGEPAGE);
-    }
+    if block.is_null() { refused(bytes) } else { block }
 }
 
 #[cold]
