@@ -214,11 +214,11 @@ pub struct Glint {
 /// Something small in the dome that outshines the rest.
 #[derive(Debug, Clone, Copy)]
 pub struct Sun {
-    /// Unit direction to its middle.
+    /// Unit direction to the middle of its brightest part.
     pub dir: Vec3,
-    /// Irradiance on a surface that faces it, in that of a steradian of the dome's mean radiance.
+    /// Irradiance on a surface that faces it, of all of it, in that of a steradian of the dome's mean radiance.
     pub flux: f32,
-    /// The squared radius of a disc that spreads like it.
+    /// The squared radius of a disc that spreads like that part.
     pub radius2: f32,
 }
 

@@ -1,7 +1,7 @@
 //! Camera rays beside those that are shaded, and those that are aimed at what glints, move no mean; and they take noise away.
 
 use crate::support::pictures::{BRUTE_FORCE, CACHE, Stage, assert_same, occluders, soft, sun, take};
-use crate::support::render::{Shot, direction, microscope, sheet, sphere, white};
+use crate::support::render::{Shot, direction, microscope, polygon, sheet, sphere, white};
 use crate::support::samplers::{dome, sampler};
 use domelight::dome::Dome;
 use domelight::scene::{Material, Mesh, Projection};
@@ -215,6 +215,46 @@ fn the_sun_in_small_balls_is_aimed_at() {
     });
     println!("{evenly} {aimed}");
     assert!(aimed < 0.1 * evenly, "variances {aimed} and {evenly}");
+}
+
+/// The sun in a polished ball, in about the middle of the picture: with a glow around it that is wider than what a pixel
+/// mirrors, and behind an edge that leaves a twentieth of it.
+#[test]
+fn a_sun_in_its_glow_or_behind_an_edge_is_aimed_at() {
+    let (x, y) = (70, 40);
+    let dome_with = |glow: f32| {
+        dome(256, 128, move |u, v| match u.abs_diff(x).max(v.abs_diff(y)) {
+            0 => [500.0; 3],
+            beside @ 1..=4 => [0.5 + glow * 0.5f32.powi(beside as i32); 3],
+            _ => [0.5; 3],
+        })
+    };
+    let [sky, glowing] = [0.0, 50.0].map(dome_with);
+    let at = |u: f64| sky.grid.direction(f64::from(x) + u, f64::from(y) + 0.5);
+    let (sun, across) = (at(0.5), at(1.0) - at(0.5));
+    let view = (sun + sun.any_orthonormal_vector()).normalize();
+    let radius = 0.5;
+    let spot = radius * (sun + view).normalize();
+    let ball = || (sphere(Vec3::ZERO, radius), Material { roughness: 0.0, ..brass() });
+    let away = 10.0;
+    let (edge, beyond) = (spot + away * (sun + 0.9 * across), away * across.normalize());
+    let along = away * sun.cross(beyond).normalize();
+    let board = polygon(&[edge - along, edge + along, edge + along - beyond, edge - along - beyond]);
+    for (what, parts, dome) in
+        [("glow", vec![ball()], &glowing), ("edge", vec![ball(), (board, white())], &sky), ("sky", vec![ball()], &sky)]
+    {
+        let mut camera = microscope(spot, view, 4.0);
+        camera.projection = Projection::Orthographic { ymag: 0.25 };
+        let stage = Stage { camera, ..Stage::new(parts) };
+        let shot = Shot { camera_rays: None, ..stage.shot(dome, 4, 8) };
+        let [evenly, aimed] = ["latlong:mode=mis", CACHE].map(|spec| {
+            let pictures = take(&shot, 0, || sampler(spec, dome, 8), |_, _| ());
+            pictures.variance.iter().map(|v| f64::from(v.element_sum())).sum::<f64>()
+        });
+        println!("{what}: {evenly} {aimed}");
+        // The cache's sixteen camera rays a sample that are not aimed bring it down to a twentieth.
+        assert!(aimed < 0.03 * evenly, "{what}: variances {aimed} and {evenly}");
+    }
 }
 
 /// A ball that mirrors everything scatters parallel light evenly to all sides: of an irradiance E, r² E/4 of intensity.

@@ -8,7 +8,8 @@ use crate::integrator::visibility::{self, nearest, occluded};
 use crate::sampler::Sun;
 use crate::scene::offset_origin;
 use glam::{Mat2, Vec2, Vec3};
-use std::f32::consts::PI;
+use std::array;
+use std::f32::consts::{PI, TAU};
 use std::ptr;
 
 /// The cosine of how far from a sun a mirrored ray may go where one is looked for.
@@ -45,6 +46,12 @@ const REACH2: f32 = 9.0;
 
 /// Spots of a pixel at most.
 const MOST: usize = 4;
+
+/// Rays that are traced towards a sun.
+const TOWARDS: usize = 9;
+
+/// How far around its middle they go, in its radius. (A square that spreads like a disc of radius 1 reaches to 1.2.)
+const AROUND: f32 = 1.5;
 
 /// A place in the unit square of a pixel.
 type Place = ([u32; 2], Vec2);
@@ -118,11 +125,11 @@ impl<'a> Search<'a> {
             }
             tries = self.go_on(&tries, &mut found);
         }
-        let rays: Vec<Ray> = found.iter().map(|&(_, ray)| ray).collect();
+        let rays: Vec<Ray> = found.iter().flat_map(|&(_, rays)| rays).collect();
         let mut hidden = Vec::new();
         let render = self.spots.render;
         occluded(render.scene, render.accel, &rays, &mut hidden, &mut self.visibility);
-        let arrives = found.iter().zip(hidden).filter(|&(_, hidden)| hidden == 0);
+        let arrives = found.iter().zip(hidden.chunks_exact(TOWARDS)).filter(|(_, hidden)| hidden.contains(&0));
         let mut spots: Vec<Spot> = arrives.map(|((spot, _), _)| *spot).collect();
         let key = |spot: &Spot| (spot.pixel[1], spot.pixel[0]);
         spots.sort_by(|a, b| key(a).cmp(&key(b)).then(b.worth.total_cmp(&a.worth)));
@@ -185,7 +192,7 @@ impl<'a> Search<'a> {
     }
 
     /// One step of each; those that lead on.
-    fn go_on(&mut self, tries: &[Try<'a>], found: &mut Vec<(Spot, Ray)>) -> Vec<Try<'a>> {
+    fn go_on(&mut self, tries: &[Try<'a>], found: &mut Vec<(Spot, [Ray; TOWARDS])>) -> Vec<Try<'a>> {
         let places = |t: &Try<'_>| {
             let place = (t.pixel, t.at);
             let [right, down] = beside(place);
@@ -241,11 +248,17 @@ impl<'a> Search<'a> {
         Bsdf::new(&surface, -mirror.ray.dir).specular.filter(|lobe| lobe.alpha <= WIDEST)
     }
 
-    /// A ray towards the sun.
-    fn towards(&self, mirror: &Mirror, sun: &Sun) -> Ray {
+    /// Rays towards the sun's middle and all around it: past whatever edge leaves a part of it to be seen.
+    fn towards(&self, mirror: &Mirror, sun: &Sun) -> [Ray; TOWARDS] {
         let scene = self.spots.render.scene;
         let (position, error) = scene.place(&scene.refined(&mirror.ray, &mirror.hit));
-        Ray::new(offset_origin(position, error, mirror.ng, sun.dir), sun.dir)
+        let (x, y) = sun.dir.any_orthonormal_pair();
+        array::from_fn(|i| {
+            let rim = Vec2::from_angle(TAU * i as f32 / (TOWARDS - 1) as f32) * (AROUND * sun.radius2.sqrt());
+            let beside = if i + 1 < TOWARDS { rim.x * x + rim.y * y } else { Vec3::ZERO };
+            let dir = (sun.dir + beside).normalize();
+            Ray::new(offset_origin(position, error, mirror.ng, dir), dir)
+        })
     }
 }
 

@@ -7,10 +7,10 @@ use super::sums::halves;
 use crate::bsdf::Specular;
 use crate::dome::Dome;
 use crate::random;
-use crate::sampler::preconvolution::{GROUP_LANES, Preconvolution};
+use crate::sampler::preconvolution::{GROUP_LANES, LeafMoments, Preconvolution};
 use crate::sampler::{Glint, Numbers, Point, Sun};
 use crate::simd::Kernel;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use std::f32::consts::PI;
 
 /// Times the dome's mean radiance that a sun shines at least.
@@ -51,10 +51,9 @@ impl Glints {
                 (glints.axis[k][i], glints.flux[k][i]) = (groups.axis[k][g], flux);
             }
         }
-        let sun = |&g: &usize| Sun {
-            dir: Vec3::from(groups.axis.each_ref().map(|row| row[g])),
-            flux: Dome::weight(flux(g)) / mean_radiance,
-            radius2: groups.spread2[g],
+        let sun = |&g: &usize| {
+            let (dir, radius2) = core(&triangles.leaves[g]);
+            Sun { dir, flux: Dome::weight(flux(g)) / mean_radiance, radius2 }
         };
         glints.suns = glints.groups.iter().map(sun).collect();
         glints
@@ -72,6 +71,27 @@ impl Glints {
     pub(super) fn groups(&self) -> &[usize] {
         &self.groups
     }
+}
+
+/// Where a group shines from, as a mirror sees it, and the squared radius of a disc that spreads like that: its brightest
+/// leaves, so many that flux²/radius² is most, which goes by what a mirror's light varies by.
+fn core(leaves: &LeafMoments) -> (Vec3, f32) {
+    let [x, y, z, f, _, r] = leaves.rows.map(|row| row.map(f64::from));
+    let spread2 = |i: usize| (r[i] / f[i]).powi(2);
+    let along = |i: usize| DVec3::new(x[i], y[i], z[i]);
+    let mut brightest: Vec<usize> = (0..f.len()).filter(|&i| f[i] > 0.0).collect();
+    brightest.sort_by(|&a, &b| (f[b] / spread2(b)).total_cmp(&(f[a] / spread2(a))));
+    let part = |count: usize| {
+        let leaves = &brightest[..count];
+        let flux: f64 = leaves.iter().map(|&i| f[i]).sum();
+        let middle = leaves.iter().map(|&i| along(i)).sum::<DVec3>().normalize_or_zero();
+        // A disc's points are half of its squared radius from its middle, in the mean square.
+        let of_leaf = |&i: &usize| f[i] * (spread2(i) + 2.0 * (along(i) / f[i]).distance_squared(middle));
+        let radius2 = leaves.iter().map(of_leaf).sum::<f64>() / flux;
+        (flux * flux / radius2, middle.as_vec3(), radius2 as f32)
+    };
+    let parts = (1..=brightest.len()).map(part);
+    parts.max_by(|a, b| a.0.total_cmp(&b.0)).map_or((Vec3::ZERO, 0.0), |(_, middle, radius2)| (middle, radius2))
 }
 
 /// What a point's lobe shows of one of them or several, if that is worth a ray.
@@ -197,6 +217,32 @@ mod tests {
         };
         let [near, far] = [[70, 72], [50, 90]].map(|columns| together(&columns).unwrap());
         assert!(near > 0.999 && (0.5..0.97).contains(&far), "{near} and {far}");
+    }
+
+    /// One leaf in the middle and eight around it: of a bright one in a glow that has twice its light it is that one, of
+    /// nine that are alike it is all.
+    #[test]
+    fn a_mirror_sees_the_core_of_a_sun() {
+        let sun = Grid::new(256, 128, 0.0).direction(70.5, 40.5);
+        let (x, y) = sun.any_orthonormal_pair();
+        let around = |i: usize| (sun + 0.03 * (x * (i as f32).cos() + y * (i as f32).sin())).normalize();
+        let core_of = |[flux, spread2]: [f32; 2], [beside, glow2]: [f32; 2]| {
+            let mut leaves = LeafMoments::default();
+            let mut set = |i: usize, flux: Vec3, spread2: f32| {
+                let f = flux.length();
+                let values = [flux.x, flux.y, flux.z, f, 0.0, f * spread2.sqrt()];
+                leaves.rows.iter_mut().zip(values).for_each(|(row, value)| row[i] = value);
+            };
+            set(0, flux * sun, spread2);
+            (1..9).for_each(|i| set(i, beside * around(i), glow2));
+            core(&leaves)
+        };
+        let (dir, radius2) = core_of([0.2, 1e-4], [0.05, 1e-3]);
+        assert!(dir.distance(sun) < 1e-6 && (radius2 / 1e-4 - 1.0).abs() < 1e-3, "{dir}, {radius2}");
+        // Eight ninths are 0.03 from the middle, which is not quite the one's.
+        let (dir, radius2) = core_of([0.1, 1e-3], [0.1, 1e-3]);
+        let exact = 1e-3 + 2.0 * (0.03f32.powi(2) * 8.0 / 9.0 - dir.distance_squared(sun));
+        assert!(dir.distance(sun) < 0.01 && (radius2 / exact - 1.0).abs() < 1e-2, "{dir}, {radius2}, not {exact}");
     }
 
     #[test]
