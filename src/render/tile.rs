@@ -10,14 +10,15 @@
 //!
 //! Where a sun shows in a spot of a pixel, further samples are aimed at that (`spots`), and all are weighed (`cameras`).
 
+mod notice;
+
 use super::cameras::{CameraSample, Cameras};
 use super::flush::flush;
 use super::schedule::{self, Looks, Pass};
 use super::spots::{AIMED, Spots};
-use super::views::{Choice, Seen, Views};
+use super::views::{Choice, Views};
 use super::{Background, Counts, Render};
 use crate::accel::{Hit, Ray};
-use crate::dome::Dome;
 use crate::dome::project::Grid;
 use crate::film::{AovSample, Part, Sample};
 use crate::integrator::visibility::{self, nearest};
@@ -28,6 +29,7 @@ use crate::sampler::{DomeSampler, Draws, Numbers};
 use crate::scene::{Surface, offset_origin};
 use crate::simd::{Kernel, dispatch};
 use glam::Vec3;
+use notice::notice;
 
 /// Camera rays traced together.
 const CHUNK: usize = 1024;
@@ -147,14 +149,7 @@ impl Render<'_> {
         film: &mut Part<'_>,
         counts: &mut Counts,
     ) {
-        s.rays.clear();
-        s.samples.clear();
-        s.expected.clear();
-        s.mirrored.clear();
-        s.glints.clear();
-        s.suns.clear();
-        s.posts.clear();
-        s.told.clear();
+        s.begin();
         let gloss = self.scene.needs.gloss;
         s.cameras.place();
         for (&CameraSample { pixel: [x, y], .. }, &[u, v]) in s.cameras.samples.iter().zip(&s.cameras.places) {
@@ -274,85 +269,10 @@ impl Render<'_> {
         }
         flush(world, s, counts);
         if pass.looks.about {
-            self.notice(seen, s);
+            notice(seen, s);
         }
-        for &(sample, mirrored) in &s.mirrored {
-            s.samples[sample as usize].radiance += mirrored;
-        }
-        for sun in &s.suns {
-            s.samples[sun.sample as usize].radiance += sun.arrived;
-        }
-        for &(sample, glint) in &s.glints {
-            let camera = &s.cameras.samples[sample as usize];
-            // It was expected of the shaded one as of the others, and is known.
-            let counts = if camera.is_shaded() { 1.0 - camera.views as f32 } else { 1.0 };
-            s.samples[sample as usize].radiance += counts * glint;
-        }
-        for (value, weight) in s.samples.iter_mut().zip(&s.cameras.weights) {
-            value.radiance *= *weight;
-        }
-        for (&CameraSample { pixel, numbers, views, aimed, .. }, value) in s.cameras.samples.iter().zip(&s.samples) {
-            if value.radiance.is_finite() {
-                match aimed {
-                    false => film.add(pixel, value, pass.weight / views as f32),
-                    true => film.add_light(pixel, pass.weight * value.radiance),
-                }
-            } else {
-                counts.dropped += 1;
-                counts.dropped_at.get_or_insert([pixel[0], pixel[1], numbers.sample]);
-            }
-        }
+        settle(pass, s, film, counts);
         s.cameras.clear();
-    }
-
-    /// Shows `seen` what was expected, and what has become of it.
-    fn notice(&self, seen: &Views, s: &mut Scratch) {
-        let light = |radiance: Vec3| Dome::weight(radiance.to_array());
-        let mut first = 0;
-        let mut mirrored = s.mirrored.iter().peekable();
-        let mut glints = s.glints.iter().peekable();
-        let mut suns = s.suns.iter().peekable();
-        let mut told = s.told.iter().peekable();
-        let mut notes = seen.notes();
-        for &expected in &s.expected {
-            let CameraSample { pixel, views, rays, deals: dealt, noted, spotted, .. } = s.cameras.samples[first];
-            let of_sample = &s.samples[first..first + views as usize];
-            s.lights.clear();
-            s.lights.extend(of_sample.iter().map(|sample| light(sample.radiance)));
-            // The first one holds what its rays have brought once for each.
-            let reflected = mirrored.next_if(|mirrored| mirrored.0 as usize == first);
-            let mirrors = reflected.is_some();
-            let mut shown = reflected.map_or(expected, |reflected| expected + reflected.1);
-            let beside = (s.lights[0] - light(expected)) / views as f32;
-            let (of, mut noise, mut sunny) = (first as u32..first as u32 + views, 0.0, 0.0);
-            while let Some(&Sunny { sample, rays, all, arrived }) = suns.next_if(|sun| of.contains(&sun.sample)) {
-                if sample as usize == first {
-                    shown += arrived;
-                }
-                s.lights[sample as usize - first] += light(arrived);
-                sunny += 1.0 / views as f32;
-                // Each ray carries about the same.
-                noise += light(arrived) * (all - light(arrived)) / (rays - 1).max(1) as f32;
-            }
-            let known = light(shown) + beside;
-            s.lights[0] = light(shown);
-            while let Some(&(sample, glint)) = glints.next_if(|glint| of.contains(&glint.0)) {
-                s.lights[sample as usize - first] += light(glint);
-            }
-            let (traced, told) = (s.hits[first].is_hit(), told.next_if(|told| told.sample as usize == first));
-            // Where nothing is traced nothing is noisy.
-            let (noise_of_rays, saved) = told.map_or((Some(0.0), 0.0), |told| (told.noise, told.saved));
-            let told = noise_of_rays.filter(|_| noted).map(|noise| [noise, saved]);
-            // Beside samples that are aimed others weigh less the brighter they are: such pixels are no measure.
-            if !spotted {
-                let noise = noise / views as f32;
-                notes.take_in(
-                    pixel,
-                    Seen { expected: &s.lights, known, noise, sunny, rays, traced, mirrors, dealt, told },
-                );
-            }
-            first += views as usize;
-        }
     }
 
     /// Shades a sample: what it is expected to be makes way for what is known, and for what its rays will bring.
@@ -405,6 +325,36 @@ impl Render<'_> {
         let radiance = texel.map_or(Vec3::ZERO, |texel| Vec3::from(self.dome.texels[texel as usize]));
         let alpha = if self.settings.background == Background::Transparent { 0.0 } else { 1.0 };
         Sample { radiance, alpha, aovs: self.settings.aovs.then_some(AovSample::default()) }
+    }
+}
+
+/// Puts together what each sample is worth, now that all its rays have come back, and hands it to the film.
+fn settle(pass: &Pass, s: &mut Scratch, film: &mut Part<'_>, counts: &mut Counts) {
+    for &(sample, mirrored) in &s.mirrored {
+        s.samples[sample as usize].radiance += mirrored;
+    }
+    for sun in &s.suns {
+        s.samples[sun.sample as usize].radiance += sun.arrived;
+    }
+    for &(sample, glint) in &s.glints {
+        let camera = &s.cameras.samples[sample as usize];
+        // It was expected of the shaded one as of the others, and is known.
+        let counts = if camera.is_shaded() { 1.0 - camera.views as f32 } else { 1.0 };
+        s.samples[sample as usize].radiance += counts * glint;
+    }
+    for (value, weight) in s.samples.iter_mut().zip(&s.cameras.weights) {
+        value.radiance *= *weight;
+    }
+    for (&CameraSample { pixel, numbers, views, aimed, .. }, value) in s.cameras.samples.iter().zip(&s.samples) {
+        if value.radiance.is_finite() {
+            match aimed {
+                false => film.add(pixel, value, pass.weight / views as f32),
+                true => film.add_light(pixel, pass.weight * value.radiance),
+            }
+        } else {
+            counts.dropped += 1;
+            counts.dropped_at.get_or_insert([pixel[0], pixel[1], numbers.sample]);
+        }
     }
 }
 
@@ -499,4 +449,18 @@ pub(super) struct Scratch {
     draws: Draws,
     pub(super) queue: Queue,
     pub(super) visibility: visibility::Scratch,
+}
+
+impl Scratch {
+    /// Forgets the chunk before.
+    fn begin(&mut self) {
+        self.rays.clear();
+        self.samples.clear();
+        self.expected.clear();
+        self.mirrored.clear();
+        self.glints.clear();
+        self.suns.clear();
+        self.posts.clear();
+        self.told.clear();
+    }
 }
