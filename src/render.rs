@@ -233,7 +233,9 @@ impl Render<'_> {
                 .map_init(Scratch::default, |scratch, (mut film, tile)| {
                     let counts = self.tile(&world, (pass, &state.views, &spots), *tile, &mut film, scratch);
                     let share = (finished.fetch_add(1, Relaxed) + 1) as f64 / tiles.len() as f64;
-                    (watch.progress)((done + share * pass.work()) / work);
+                    let of_time =
+                        self.settings.time.map_or(0.0, |limit| (before + start.elapsed().as_secs_f64()) / limit);
+                    (watch.progress)(((done + share * pass.work()) / work).max(of_time).min(1.0));
                     counts
                 })
                 .collect();

@@ -240,3 +240,57 @@ fn an_interrupted_render_is_a_whole_image() {
     assert!((1..100_000).contains(&spp), "{spp} samples a pixel");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "something was left behind");
 }
+
+/// A render of a few pixels with `options`: its statistics, and what it says of its progress.
+fn timed(options: &[&str]) -> (serde_json::Value, String) {
+    let folder = TempDir::new().unwrap();
+    let stats = folder.path().join("x.json");
+    let assert = domelight()
+        .arg("render")
+        .arg(repo("scenes/sphere.glb"))
+        .arg("--dome")
+        .arg(repo("scenes/window.exr"))
+        .arg("-o")
+        .arg(folder.path().join("x.exr"))
+        .arg("--stats")
+        .arg(&stats)
+        .args(["--size", "32x24", "--rays", "4", "--progress", "plain"])
+        .args(options)
+        .assert()
+        .code(0);
+    let progress = String::from_utf8_lossy(&assert.get_output().stderr).into_owned();
+    (serde_json::from_slice(&std::fs::read(stats).unwrap()).unwrap(), progress)
+}
+
+#[test]
+fn a_render_ends_by_its_time_or_its_samples() {
+    let (stats, progress) = timed(&["--time", "1"]);
+    assert!(stats["spp"].as_u64().unwrap() > 16 && stats["render_s"].as_f64().unwrap() >= 1.0, "{stats}");
+    assert_eq!(stats["interrupted"], false, "nobody did");
+    assert!(progress.contains("50%"), "the time's share: {progress}");
+    let (stats, _) = timed(&["--time", "1000", "--spp", "3"]);
+    assert_eq!((&stats["spp"], &stats["interrupted"]), (&3.into(), &false.into()));
+}
+
+#[test]
+fn a_field_of_view_frames_the_scene() {
+    let folder = TempDir::new().unwrap();
+    let shot = |options: &[&str]| {
+        let out = folder.path().join("x.exr");
+        domelight()
+            .arg("render")
+            .arg(repo("scenes/sphere.glb"))
+            .arg("--dome")
+            .arg(repo("scenes/window.exr"))
+            .arg("-o")
+            .arg(&out)
+            .args(["--size", "32x24", "--spp", "1", "--rays", "1", "--background", "transparent", "--quiet"])
+            .args(options)
+            .assert()
+            .code(0);
+        read(&out).unwrap().layers[0].pixels.clone()
+    };
+    let narrow = shot(&["--fov", "10"]);
+    assert_eq!(narrow, shot(&["--fov", "10", "--orbit", "35,20"]));
+    assert_ne!(narrow, shot(&["--fov", "70"]));
+}

@@ -35,9 +35,9 @@ pub(crate) struct Input {
     /// … looking here
     #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, requires = "eye", help_heading = "Camera")]
     look_at: Option<Vec3>,
-    /// Vertical field of view, degrees
-    #[arg(long, value_name = "DEG", default_value_t = DEFAULT_FOV, value_parser = fov, allow_hyphen_values = true, help_heading = "Camera")]
-    fov: f32,
+    /// Vertical field of view, degrees (default: 40). Without --eye or --orbit: of a framing of the whole scene
+    #[arg(long, value_name = "DEG", value_parser = fov, allow_hyphen_values = true, conflicts_with = "camera", help_heading = "Camera")]
+    fov: Option<f32>,
     /// A camera around the scene: azimuth (0 sees the front) and elevation in degrees, and a distance
     #[arg(long, value_name = "AZ,EL[,DIST]", value_parser = orbit, allow_hyphen_values = true, conflicts_with = "eye", help_heading = "Camera")]
     orbit: Option<[Option<f32>; 3]>,
@@ -52,14 +52,15 @@ impl Input {
     }
 
     pub(crate) fn camera(&self) -> Result<CameraChoice> {
-        let framed = self.orbit.is_some() || self.target.is_some();
+        let framed = self.orbit.is_some() || self.target.is_some() || self.fov.is_some();
+        let fov = self.fov.unwrap_or(DEFAULT_FOV);
         Ok(match (&self.camera, self.eye, self.look_at) {
             (Some(name), ..) => CameraChoice::Named(name.clone()),
-            (None, Some(eye), Some(target)) => CameraChoice::LookAt { eye, target, fov: self.fov },
+            (None, Some(eye), Some(target)) => CameraChoice::LookAt { eye, target, fov },
             _ if framed => {
                 let [azimuth, elevation, distance] = self.orbit.unwrap_or([Some(35.0), Some(20.0), None]);
                 let (azimuth, elevation) = (azimuth.unwrap_or(35.0), elevation.unwrap_or(20.0));
-                CameraChoice::Orbit { azimuth, elevation, distance, target: self.target, fov: self.fov }
+                CameraChoice::Orbit { azimuth, elevation, distance, target: self.target, fov }
             }
             _ => CameraChoice::First,
         })

@@ -112,6 +112,7 @@ pub(crate) fn run(args: &Args) -> Result<u8> {
         accel: accel.stats(),
         sampler: sampler.stats(),
         picture: &picture,
+        interrupted: picture.stopped && INTERRUPTED.load(Ordering::Relaxed),
     };
     let frame = frame(&picture, &aovs, &settings.size, report.metadata());
     // A file that has no room costs no other.

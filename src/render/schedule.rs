@@ -3,7 +3,7 @@
 //! A pass takes some camera samples of some pixels. Without a learning sampler passes only cut the work up. With one,
 //! the first camera samples come in seven *stages*: every 64th pixel, then every time as many pixels as before, spread
 //! evenly among them, in no square of 8 × 8 pixels quite as in the next; after each stage the sampler goes by what was seen so far. A pixel's own samples therefore never depend on
-//! what they saw themselves, all of them form one stratified set, and the image is unbiased in the strict sense. The first
+//! what they saw themselves, all of them form one stratified set, and the image is unbiased. The first
 //! stage knows nothing: it has numbers of its own, its samples weigh little in the image, and its pixels have all their
 //! samples in the last stage. Later samples are one more stage with numbers of their own. Where variances are asked for,
 //! every replicate has numbers of its own ([`crate::film::replicates`]).
@@ -111,9 +111,10 @@ pub(super) struct Pass {
     pub(super) weight: f32,
     /// Which sequence: the learning stages share one; what follows has its own, and so has every replicate.
     pub(super) sequence: u32,
-    /// Places in the pixel go on through a replicate, for what was learned at some says nothing of the others' light:
-    /// the replicate, and what its samples have taken before this sequence.
-    pub(super) replicate: u32,
+    /// Which sequence of places in the pixel, and what its samples have taken of that before. One goes on through a replicate,
+    /// for what the sampler has learned at some places says next to nothing of the others' light. Where it is looked about
+    /// places are another sequence's: what a pixel shows there may decide how many camera rays its later samples have.
+    pub(super) places: u32,
     pub(super) before: u32,
     /// Its samples' camera rays.
     pub(super) looks: Looks,
@@ -124,6 +125,12 @@ pub(super) struct Pass {
 }
 
 impl Pass {
+    /// Where in the sequence of places a sample's camera ray `view` looks, in replicates of `each` samples: the first rays of
+    /// all samples have its beginning, their second ones what follows: each are a stratified set.
+    pub(super) fn place(&self, each: u32, sample: u32, view: u32) -> u32 {
+        each * view + self.before + sample
+    }
+
     /// Camera samples a pixel of the image, in the mean.
     pub(super) fn work(&self) -> f64 {
         self.lattice.share() * f64::from(self.count)
@@ -132,6 +139,9 @@ impl Pass {
 
 /// What a sample weighs that was taken before anything was known: about its share of what a later one's variance is.
 const LOOK: f32 = 1.0 / 16.0;
+
+/// The sequence of places where it is looked about; replicates are numbered from 0.
+const LOOKED_ABOUT: u32 = u32::MAX;
 
 /// Camera samples of the learning stages, at most.
 const LEARNING: u32 = 8;
@@ -146,7 +156,8 @@ pub(super) fn replicate(settings: &Settings) -> u32 {
 
 /// Camera samples of a pixel whose places are stratified together, as far as is known.
 pub(super) fn together(settings: &Settings) -> u32 {
-    if settings.time.is_some() { LEARNING } else { replicate(settings) }
+    let of_replicate = replicate(settings);
+    if settings.time.is_some() { of_replicate.min(LEARNING) } else { of_replicate }
 }
 
 /// All passes of a render, for a sampler that `learns` or not.
@@ -156,25 +167,28 @@ pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
     let mut done = 0;
     if learns {
         let count = each.min(LEARNING);
-        passes.extend(Lattice::stages().map(|lattice| Pass {
-            lattice,
-            first: 0,
-            count,
-            weight: if lattice.is_first() { LOOK } else { 1.0 },
-            sequence: if lattice.is_first() { u32::MAX } else { 0 },
-            replicate: 0,
-            before: 0,
-            // The first stage knows nothing yet to go by, it sees how bright the image is; where most pixels are still to come it
-            // pays to look about.
-            looks: match lattice.to {
+        passes.extend(Lattice::stages().map(|lattice| {
+            // The first stage knows nothing yet to go by, it sees how bright the image is; where most pixels are still to come
+            // it pays to look about.
+            let looks = match lattice.to {
                 _ if settings.camera_rays.is_some() => Looks::BY_WHAT_WAS_SEEN,
                 1 => Looks { least: 1, about: true },
                 2..=4 => Looks { least: 4, about: true },
                 8..=16 => Looks { least: 2, about: true },
                 _ => Looks::BY_WHAT_WAS_SEEN,
-            },
-            ends_stage: true,
-            spp_after: if lattice.returns { count } else { 0 },
+            };
+            Pass {
+                lattice,
+                first: 0,
+                count,
+                weight: if lattice.is_first() { LOOK } else { 1.0 },
+                sequence: if lattice.is_first() { u32::MAX } else { 0 },
+                places: if looks.about { LOOKED_ABOUT } else { 0 },
+                before: 0,
+                looks,
+                ends_stage: true,
+                spp_after: if lattice.returns { count } else { 0 },
+            }
         }));
         done = count;
     }
@@ -190,7 +204,7 @@ pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
             count,
             weight: 1.0,
             sequence,
-            replicate: done / each,
+            places: done / each,
             before: first % each,
             looks: Looks::BY_WHAT_WAS_SEEN,
             ends_stage: false,
@@ -209,7 +223,57 @@ pub(super) fn passes(settings: &Settings, learns: bool) -> Vec<Pass> {
 mod tests {
     use super::*;
     use crate::film::Filter;
+    use crate::random;
     use crate::render::Background;
+
+    fn settings(spp: u32, variance: bool) -> Settings {
+        Settings {
+            size: [16; 2],
+            crop: [0, 0, 16, 16],
+            spp,
+            rays: 4,
+            camera_rays: None,
+            seed: 0,
+            tile: 16,
+            filter: Filter::Box,
+            background: Background::Black,
+            aovs: false,
+            variance,
+            time: None,
+        }
+    }
+
+    /// The mean of a speck that shines in a 32nd of a pixel, 1, where its having been seen decides how many camera rays later
+    /// samples have.
+    #[test]
+    fn what_a_pixel_has_shown_does_not_bias_its_later_places() {
+        const SEEDS: u32 = 30_000;
+        let passes = passes(&settings(16, false), true);
+        let speck = |[u, v]: [f32; 2]| if u < 0.125 && v < 0.25 { 32.0 } else { 0.0 };
+        // Of one stage each, and what no stage of these takes.
+        for rank in [0, 1, 2, 4, 8, 16] {
+            let pixel = |seed: u32| {
+                let (mut seen, mut sum, mut weights) = (false, 0.0, 0.0);
+                for pass in passes.iter().filter(|pass| pass.lattice.has(rank)) {
+                    let views = pass.looks.least.max(if seen { 4 } else { 1 });
+                    let places = random::combine(seed, pass.places);
+                    for sample in pass.first..pass.first + pass.count {
+                        let at = |view| random::sobol2(pass.place(16, sample, view), places).map(random::unit);
+                        let light = (0..views).map(|view| speck(at(view))).sum::<f32>();
+                        seen |= pass.looks.about && light > 0.0;
+                        sum += f64::from(pass.weight * light / views as f32);
+                        weights += f64::from(pass.weight);
+                    }
+                }
+                sum / weights
+            };
+            let of_seeds: Vec<f64> = (0..SEEDS).map(|seed| pixel(random::hash(&[seed, 11]))).collect();
+            let mean = of_seeds.iter().sum::<f64>() / f64::from(SEEDS);
+            let variance = of_seeds.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / f64::from(SEEDS - 1);
+            let error = (variance / f64::from(SEEDS)).sqrt();
+            assert!((mean - 1.0).abs() < 4.0 * error, "rank {rank}: {mean} ± {error}");
+        }
+    }
 
     /// A pixel's rank in the order of its square.
     fn rank(x: u32, y: u32) -> u8 {
@@ -264,21 +328,7 @@ mod tests {
     #[test]
     fn every_pixel_has_all_its_samples() {
         for (spp, variance) in [(1, false), (4, false), (9, false), (64, false), (64, true)] {
-            let settings = Settings {
-                size: [16; 2],
-                crop: [0, 0, 16, 16],
-                spp,
-                rays: 4,
-                camera_rays: None,
-                seed: 0,
-                tile: 16,
-                filter: Filter::Box,
-                background: Background::Black,
-                aovs: false,
-                variance,
-                time: None,
-            };
-            let passes = passes(&settings, true);
+            let passes = passes(&settings(spp, variance), true);
             let mut taken = 0;
             for (x, y) in (0..16).flat_map(|y| (0..16).map(move |x| (x, y))) {
                 let of_pixel = || passes.iter().filter(|pass| pass.lattice.takes(x, y));

@@ -76,21 +76,18 @@ impl Render<'_> {
         s.pixels.sort_by_key(|&(place, ..)| place);
         for i in 0..s.pixels.len() {
             let (_, pixel, of_pixel) = s.pixels[i];
-            let (numbers, places) = (seed(of_pixel, pass.sequence, 1), seed(of_pixel, pass.replicate, 0));
+            let (numbers, places) = (seed(of_pixel, pass.sequence, 1), seed(of_pixel, pass.places, 0));
             let Choice { views, deals, rays } = self.choice(world.sampler, (pass, seen), pixel);
             let (of_spots, first) = (spots.of(pixel), s.cameras.samples.len());
             // Whose shadow rays begin elsewhere has seen what is weighed there, not here.
             let (spotted, aimed) = (!of_spots.is_empty(), false);
             for sample in pass.first..pass.first + pass.count {
                 let numbers = Numbers { seed: numbers, sample };
-                // All samples' first camera rays have the beginning of the sequence, their second ones what follows: each
-                // are a stratified set.
-                let at = pass.before + sample;
                 // What one of a pixel's samples tells of dealing its rays out, they all would tell.
                 let noted = views > 1 && pass.looks.about && sample == pass.first && !spotted;
                 let deals = views > 1 && deals && !spotted || noted;
                 for view in 0..views {
-                    let place = each * view + at;
+                    let place = pass.place(each, sample, view);
                     s.cameras.samples.push(CameraSample {
                         pixel,
                         place,
@@ -107,7 +104,7 @@ impl Render<'_> {
                 }
             }
             for (spot, of_spot) in of_spots.iter().zip(1..) {
-                let [places, numbers] = [(pass.replicate, 2 * of_spot), (pass.sequence, 2 * of_spot + 1)]
+                let [places, numbers] = [(pass.places, 2 * of_spot), (pass.sequence, 2 * of_spot + 1)]
                     .map(|(of, purpose)| seed(of_pixel, of, purpose));
                 for i in AIMED * pass.first..AIMED * (pass.first + pass.count) {
                     let place = AIMED * pass.before + i;

@@ -21,7 +21,8 @@
 //! differ by. It says where more of them are worth tracing; as many as were asked for are shared out by it before all else.
 //!
 //! All is measured by the learning stages in between (`schedule`), before the samples that go by it are taken: how many rays
-//! these have depends on nothing that they see, and whatever their number, each sample weighs the same in its pixel.
+//! these have depends on nothing that they see, nor on anything seen at places of the same sequence, and whatever their number,
+//! each sample weighs the same in its pixel.
 //!
 //! Sums are integers, so that they are the same in whatever order tiles and threads add to them.
 

@@ -202,7 +202,7 @@ impl Accessor<'_> {
         })
     }
 
-    /// Whether elements have `width` components and are floats, or integers that stand for numbers.
+    /// Whether components are whole numbers without a sign.
     pub(super) fn is_integer(&self) -> bool {
         matches!(self.component, ComponentType::U8 | ComponentType::U16 | ComponentType::U32)
     }

@@ -59,7 +59,7 @@ impl Warnings {
 pub struct Asset {
     pub(super) path: PathBuf,
     pub(super) root: Root,
-    /// Each buffer's bytes, cut to its `byteLength`; empty for one nobody can read .
+    /// Each buffer's bytes, cut to its `byteLength`; or why nobody can read it.
     buffers: Vec<std::result::Result<Vec<u8>, String>>,
 }
 

@@ -15,6 +15,10 @@ use domelight::scene::Scene;
 use std::io::IsTerminal;
 use std::path::PathBuf;
 
+/// Camera samples a pixel where neither they nor a time are given, and at most.
+const DEFAULT_SPP: u32 = 16;
+const MOST_SPP: u32 = 1 << 20;
+
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
@@ -33,9 +37,9 @@ pub(crate) struct Args {
     /// Render only this part: first column, first row, columns, rows
     #[arg(long, value_name = "X,Y,W,H", value_parser = crop, allow_hyphen_values = true, help_heading = "Image")]
     crop: Option<[u32; 4]>,
-    /// Camera samples a pixel
-    #[arg(long, value_name = "N", default_value_t = 16, value_parser = whole::<u32>(1..=1 << 20), allow_hyphen_values = true, help_heading = "Image")]
-    spp: u32,
+    /// Camera samples a pixel (default: 16; as many as --time allows, where that is given alone)
+    #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=MOST_SPP.into()), allow_hyphen_values = true, help_heading = "Image")]
+    spp: Option<u32>,
     /// Shadow rays a camera sample (with the shadow cache, where no --camera-rays are given: in the mean; from half to four times
     /// as many, region by region of the image)
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = whole::<u32>(1..=1 << 16), allow_hyphen_values = true, help_heading = "Image")]
@@ -44,7 +48,7 @@ pub(crate) struct Args {
     /// (default: as many as pay, from 1 to 16, region by region of the image; 1 where the sampler learns nothing)
     #[arg(long, value_name = "N", value_parser = whole::<u32>(1..=256), allow_hyphen_values = true, help_heading = "Image")]
     camera_rays: Option<u32>,
-    /// Begin no pass after so many seconds of rendering
+    /// Begin no pass after so many seconds of rendering; done sooner once every pixel has the --spp that are given with it
     #[arg(long, value_name = "SECONDS", value_parser = positive, allow_hyphen_values = true, help_heading = "Image")]
     time: Option<f64>,
     /// Seed of all random numbers
@@ -111,19 +115,20 @@ pub(crate) struct Args {
 impl Args {
     pub(super) fn settings(&self) -> Result<Settings> {
         let [width, height] = self.size;
+        let spp = self.spp.unwrap_or(if self.time.is_some() { MOST_SPP } else { DEFAULT_SPP });
         let crop = self.crop.unwrap_or([0, 0, width, height]);
         let fits =
             |first: u32, count: u32, all: u32| count > 0 && first.checked_add(count).is_some_and(|end| end <= all);
         if !fits(crop[0], crop[2], width) || !fits(crop[1], crop[3], height) {
             bail!(Error::Option(format!("--crop {crop:?} does not lie in the {width}x{height} image")));
         }
-        if self.variance && self.spp < 2 && self.time.is_none() {
+        if self.variance && spp < 2 {
             bail!(Error::Option("--variance compares replicates: it wants --spp 2 or more, better 16".to_owned()));
         }
         Ok(Settings {
             size: self.size,
             crop,
-            spp: if self.time.is_some() { 1 << 20 } else { self.spp },
+            spp,
             rays: self.rays,
             camera_rays: self.camera_rays,
             seed: self.seed,

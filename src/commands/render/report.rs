@@ -33,6 +33,8 @@ pub(super) struct Report<'a> {
     pub(super) accel: AccelStats,
     pub(super) sampler: SamplerStats,
     pub(super) picture: &'a Picture,
+    /// Whether it was stopped by ^C, not by its time.
+    pub(super) interrupted: bool,
 }
 
 impl Report<'_> {
@@ -84,7 +86,7 @@ impl Report<'_> {
             "spp": self.picture.spp,
             "rays": self.rays,
             "seed": self.seed,
-            "interrupted": self.picture.stopped,
+            "interrupted": self.interrupted,
             "camera_rays": counts.camera_rays,
             "shadow_rays": counts.shadow_rays,
             "rays_saved": counts.rays_asked.saturating_sub(counts.shadow_rays) as f64 / counts.rays_asked.max(1) as f64,
