@@ -267,29 +267,16 @@ fn a_render_ends_by_its_time_or_its_samples() {
     let (stats, progress) = timed(&["--time", "1"]);
     assert!(stats["spp"].as_u64().unwrap() > 16 && stats["render_s"].as_f64().unwrap() >= 1.0, "{stats}");
     assert_eq!(stats["interrupted"], false, "nobody did");
-    assert!(progress.contains("50%"), "the time's share: {progress}");
+    // Not every per cent has its line where time runs on.
+    let mut steps = progress.lines().map(|line| line.trim_end_matches('%').parse::<u32>().unwrap());
+    assert!(steps.any(|step| (10..100).contains(&step)), "the time's share: {progress}");
     let (stats, _) = timed(&["--time", "1000", "--spp", "3"]);
     assert_eq!((&stats["spp"], &stats["interrupted"]), (&3.into(), &false.into()));
 }
 
 #[test]
 fn a_field_of_view_frames_the_scene() {
-    let folder = TempDir::new().unwrap();
-    let shot = |options: &[&str]| {
-        let out = folder.path().join("x.exr");
-        domelight()
-            .arg("render")
-            .arg(repo("scenes/sphere.glb"))
-            .arg("--dome")
-            .arg(repo("scenes/window.exr"))
-            .arg("-o")
-            .arg(&out)
-            .args(["--size", "32x24", "--spp", "1", "--rays", "1", "--background", "transparent", "--quiet"])
-            .args(options)
-            .assert()
-            .code(0);
-        read(&out).unwrap().layers[0].pixels.clone()
-    };
+    let shot = |options: &[&str]| bits(&render("scenes/sphere.glb", "scenes/window.exr", options));
     let narrow = shot(&["--fov", "10"]);
     assert_eq!(narrow, shot(&["--fov", "10", "--orbit", "35,20"]));
     assert_ne!(narrow, shot(&["--fov", "70"]));

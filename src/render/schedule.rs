@@ -2,10 +2,10 @@
 //!
 //! A pass takes some camera samples of some pixels. Without a learning sampler passes only cut the work up. With one,
 //! the first camera samples come in seven *stages*: every 64th pixel, then every time as many pixels as before, spread
-//! evenly among them, in no square of 8 × 8 pixels quite as in the next; after each stage the sampler goes by what was seen so far. A pixel's own samples therefore never depend on
-//! what they saw themselves, all of them form one stratified set, and the image is unbiased. The first
-//! stage knows nothing: it has numbers of its own, its samples weigh little in the image, and its pixels have all their
-//! samples in the last stage. Later samples are one more stage with numbers of their own. Where variances are asked for,
+//! evenly among them, in no square of 8 × 8 pixels quite as in the next; after each stage the sampler goes by what was seen so
+//! far. A pixel's own samples therefore never depend on what they saw themselves, and the image is unbiased. The first stage
+//! knows nothing: it has numbers of its own, its samples weigh little in the image, and its pixels have all their samples in
+//! the last stage. Later samples are one more stage with numbers of their own. Where variances are asked for,
 //! every replicate has numbers of its own ([`crate::film::replicates`]).
 
 use super::Settings;
